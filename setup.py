@@ -38,8 +38,6 @@ TEST = [
     "cyclonedds>=0.10.5",
     "hypothesis",
     "imageio>=2.22",
-    # an independent reader of the bags that are written
-    "mcap>=1.2",
     # drives the Chromium that the system has
     "playwright>=1.45",
     "psutil",
@@ -149,6 +147,7 @@ setup(
         "imageio-ffmpeg>=0.4.9",
         "lz4>=4.0",
         "matplotlib>=3.6",
+        "mcap>=1.2",
         "numpy>=1.26",
         "onnxruntime>=1.20",
         "opencv-python-headless>=4.6",

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from mcap.records import Channel, Schema
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -28,7 +29,7 @@ from dotsim_ros.data.bag_metadata import (
     summary_text,
 )
 from dotsim_ros.data.mcap.reader import McapFile, Tolerance
-from dotsim_ros.data.mcap.records import Channel, DamagedError, Schema
+from dotsim_ros.data.mcap.records import DamagedError
 from dotsim_ros.data.mcap.writer import McapWriter
 from dotsim_ros.io.files import beside
 from msg_adapters import BagTypes, Message
@@ -149,8 +150,8 @@ class BagFile:
     @property
     def written(self) -> dict[str, int]:
         """Messages of each topic that are in the file; those that wait for `flush` are not."""
-        counts = self._writer.written
-        return {topic: counts.get(number, 0) for topic, number in self._channels.items()}
+        counts = self._writer.statistics.channel_message_counts
+        return {topic: counts[number] for topic, number in self._channels.items()}
 
     def add_topic(self, topic: str, message_type: str) -> None:
         """Declare a topic, so that the bag names it even where no message comes.
@@ -164,12 +165,12 @@ class BagFile:
             self._check_type(topic, message_type)
             return
         definition, _ = TYPESTORE.generate_msgdef(message_type, ros_version=2)
-        schema = Schema(message_type, "ros2msg", definition.encode())
+        schema = Schema(0, definition.encode(), "ros2msg", message_type)
         metadata = {"offered_qos_profiles": "[]", TYPE_HASH: TYPESTORE.hash_rihs01(message_type)}
-        self.add_channel(Channel(0, topic, ENCODING, metadata), schema)
+        self.add_channel(Channel(0, topic, ENCODING, metadata, 0), schema)
 
     def add_channel(self, channel: Channel, schema: Schema) -> None:
-        """Declare a topic of any type, by its definition.
+        """Declare a topic of any type, by its definition; the numbers in both are replaced.
 
         Raises:
             ValueError: the topic was declared with another type.
@@ -245,8 +246,8 @@ class BagFile:
     def _metadata(self) -> BagMetadata:
         return BagMetadata(
             files=(self._file_name,),
-            first_ns=self._writer.first_ns,
-            last_ns=self._writer.last_ns,
+            first_ns=self._writer.statistics.message_start_time,
+            last_ns=self._writer.statistics.message_end_time,
             topics=tuple(
                 TopicCount(topic, kind, self._type_hashes[topic], self.written[topic])
                 for topic, kind in self._types.items()
@@ -339,7 +340,7 @@ class BagReader:
         if self._other is not None:
             return {c.topic: c.msgtype for c in self._other.connections if c.msgcount > 0}
         return {
-            channel.topic: mcap.schemas[channel.schema].name
+            channel.topic: mcap.schemas[channel.schema_id].name
             for _, mcap in self._files
             for number, channel in mcap.channels.items()
             if mcap.counts[number] > 0
@@ -348,7 +349,7 @@ class BagReader:
     def channels(self) -> dict[str, tuple[Channel, Schema]]:
         """Return each topic of an mcap bag with the definition of its messages."""
         return {
-            channel.topic: (channel, mcap.schemas[channel.schema])
+            channel.topic: (channel, mcap.schemas[channel.schema_id])
             for _, mcap in self._files
             for channel in mcap.channels.values()
         }
@@ -369,14 +370,14 @@ class BagReader:
         self, file: Path, mcap: McapFile, topics: tuple[str, ...]
     ) -> Iterator[BagMessage]:
         wanted = {n: channel for n, channel in mcap.channels.items() if channel.topic in topics}
-        types = {n: mcap.schemas[channel.schema].name for n, channel in wanted.items()}
+        types = {n: mcap.schemas[channel.schema_id].name for n, channel in wanted.items()}
         try:
             for message in mcap.messages(wanted):
                 yield BagMessage(
-                    wanted[message.channel].topic,
-                    types[message.channel],
-                    message.log_time_ns,
-                    message.content,
+                    wanted[message.channel_id].topic,
+                    types[message.channel_id],
+                    message.log_time,
+                    message.data,
                     str(self.path),
                 )
         except DamagedError as error:
@@ -420,9 +421,9 @@ class BagReader:
         self._stack.callback(mcap.close)
         self._files.append((file, mcap))
         for channel in mcap.channels.values():
-            if channel.encoding != ENCODING:
+            if channel.message_encoding != ENCODING:
                 raise ValueError(
-                    f"{file}: {channel.topic} is encoded as {channel.encoding!r}, expected "
+                    f"{file}: {channel.topic} is encoded as {channel.message_encoding!r}, expected "
                     f"{ENCODING!r}"
                 )
 

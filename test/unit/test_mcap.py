@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bags on the disk: what is written, read by others; what is damaged, told."""
+"""Bags on the disk: others read what is written, and damage is reported."""
 
 import random
 import resource
@@ -16,7 +16,9 @@ import mcap.writer
 import numpy as np
 import pytest
 from backports import zstd
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, ChunkIndex, Footer, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -25,7 +27,7 @@ import msg_adapters
 from dotsim_ros.data.bag import BAG_TYPES, TYPESTORE, BagFile, BagReader
 from dotsim_ros.data.mcap import reader as reader_module
 from dotsim_ros.data.mcap.reader import Tolerance
-from dotsim_ros.data.mcap.records import HEAD, MAGIC, Opcode, record
+from dotsim_ros.data.mcap.records import HEAD, MAGIC, pack
 from dotsim_ros.data.trajectory import decode_colour, read_trajectory
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -184,6 +186,24 @@ def test_every_way_of_writing_mcap_is_read(tmp_path, options):
     assert [time_ns for _, _, time_ns, _ in found] == [10**9 + number for number in range(200)]
 
 
+def test_file_without_chunks_is_read_up_to_where_it_is_cut(tmp_path):
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = mcap.writer.Writer(file, use_chunking=False)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(WRENCH, "ros2msg", b"# as in ROS")
+        channel = writer.register_channel("/wrench", "cdr", schema)
+        for number in range(3):
+            place = file.tell()
+            writer.add_message(channel, log_time=number, data=bytes(50), publish_time=number)
+        writer.finish()
+    octets = path.read_bytes()
+    # Within the head of the last record, and within its content.
+    for length in (5, 30):
+        path.write_bytes(octets[: place + length])
+        assert [time_ns for _, _, time_ns, _ in content(path, Tolerance.UNFINISHED)] == [0, 1]
+
+
 def test_order_does_not_depend_on_what_fits_into_memory(whole, tmp_path, monkeypatch):
     path = tmp_path / "bag"
     with BagFile(path) as bag:
@@ -235,6 +255,13 @@ def test_no_flipped_bit_of_what_holds_a_bag_together_passes_unseen(copy, whole, 
         assert found in (None, expected), f"bit {place} changed the content unseen"
 
 
+def test_time_in_the_head_of_a_chunk_is_compared_with_the_index(copy):
+    bag, file = copy
+    octets = file.read_bytes()
+    file.write_bytes(flipped(octets, 8 * (45 + HEAD.size)))
+    assert "its head differs from the index" in refusal(bag)
+
+
 @pytest.mark.fault("bags and data sets", "a bag's file cut short")
 def test_cut_file_is_refused_and_read_up_to_its_end_when_asked(copy, whole, answered):
     bag, file = copy
@@ -255,17 +282,37 @@ def test_cut_file_is_refused_and_read_up_to_its_end_when_asked(copy, whole, answ
 
 def chunk_of(size, packed, compression=""):
     """Return a chunk that says that it unpacks to `size`."""
-    head = struct.pack("<QQQI", 0, 1, size, 0)
-    name = compression.encode()
-    return record(
-        Opcode.CHUNK,
-        head + struct.pack("<I", len(name)) + name + struct.pack("<Q", len(packed)) + packed,
+    return pack(
+        Chunk(
+            compression=compression,
+            data=packed,
+            message_end_time=1,
+            message_start_time=0,
+            uncompressed_crc=0,
+            uncompressed_size=size,
+        )
     )
 
 
 def with_chunk(octets, chunk):
     """Return a file that holds that chunk alone, and no index."""
     return octets[:45] + chunk + octets[-37:-28] + struct.pack("<QQI", 0, 0, 0) + MAGIC
+
+
+def with_index(octets, chunk_length):
+    """Return a file of nothing but an index, of one chunk at byte 8."""
+    index = b"".join(
+        map(
+            pack,
+            [
+                Schema(1, b"", "ros2msg", WRENCH),
+                Channel(1, "/wrench", "cdr", {}, 1),
+                Statistics(0, 1, {1: 1}, 1, 1, 1, 0, 0, 1),
+                ChunkIndex(chunk_length, 8, "", 0, 1, 0, {1: 0}, 0, 0),
+            ],
+        )
+    )
+    return octets[:45] + index + pack(Footer(45, 0, 0)) + MAGIC
 
 
 HOSTILE = {
@@ -288,6 +335,7 @@ HOSTILE = {
     "half a packed chunk": lambda octets: with_chunk(
         octets, chunk_of(10**5, lz4.frame.compress(octets[: 10**5])[:999], "lz4")
     ),
+    "an index of a chunk of 3 bytes": lambda octets: with_index(octets, 3),
     "an index that lies beyond the file": lambda octets: (
         octets[:-28] + struct.pack("<QQI", 2**50, 0, 0) + MAGIC
     ),

@@ -8,6 +8,7 @@ import os
 import shutil
 
 import pytest
+from mcap.records import Channel, Schema
 from rosbags.highlevel import AnyReader
 from test_mcap import COUNT, content, write_bag
 
@@ -126,11 +127,9 @@ def test_bag_in_sqlite3_is_told_to_be_none_of_ours(tmp_path, capsys):
 
 
 def test_own_types_keep_their_definition(tmp_path, capsys):
-    from dotsim_ros.data.mcap.records import Channel, Schema
-
     with BagFile(tmp_path / "bag") as bag:
-        schema = Schema("my_msgs/msg/Own", "ros2msg", b"float64 value")
-        bag.add_channel(Channel(0, "/own", "cdr", {"topic_type_hash": "RIHS01_00"}), schema)
+        schema = Schema(0, b"float64 value", "ros2msg", "my_msgs/msg/Own")
+        bag.add_channel(Channel(0, "/own", "cdr", {"topic_type_hash": "RIHS01_00"}, 0), schema)
         bag.write_serialized("/own", 5, b"\x00\x01\x00\x00" + bytes(8))
     assert repair(tmp_path / "bag", capsys)[0] == 0
     made = tmp_path / "bag_repaired"

@@ -1,51 +1,44 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads MCAP files, finished or broken off, and lets no damage pass unseen.
+"""Reads MCAP files, finished or broken off, and reports all damage.
 
-Nothing that a file says about lengths is believed before it is compared with the file's own length
-and with bounds, so that a damaged or hostile file costs neither time nor memory.
+A length that a file states is compared with that of the file and with bounds before it is used, so
+that a damaged or hostile file costs neither time nor memory. PyPI's `mcap` parses single records;
+its readers unpack chunks without bounds, and end at the first damage.
 """
 
 from __future__ import annotations
 
 import os
 import stat
-import struct
 import zlib
-from collections import Counter, OrderedDict, deque
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from enum import IntEnum
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import lz4.frame
 from backports import zstd
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, Message, Schema, Statistics
 
 from dotsim_ros.data.mcap.records import (
-    CHUNK_HEAD,
-    FOOTER,
     HEAD,
     MAGIC,
     MESSAGE_HEAD,
     PROFILE,
-    TAIL_BYTES,
-    Channel,
-    ChunkIndex,
     DamagedError,
-    Fields,
-    Opcode,
-    Schema,
+    chunk_index,
+    pack,
+    parse,
+    split,
 )
 
 LARGEST_CHUNK_BYTES = 2**29
 """Unpacked. ROS 2 writes chunks of a few megabytes, or of one larger message."""
-
-LARGEST_RECORD_BYTES = 2**26
-"""Of a header, a schema, a channel or the index of one chunk."""
 
 KEPT_BYTES = 2**28
 """Unpacked chunks that are kept while messages of others come between theirs."""
@@ -53,7 +46,11 @@ KEPT_BYTES = 2**28
 STRETCH_BYTES = 2**20
 """Messages that lie in no chunk are taken together up to this length."""
 
-LARGEST_NS = 2**64 - 1
+_TAIL_BYTES = len(pack(Footer(0, 0, 0))) + len(MAGIC)
+"""The end of a finished file: the footer and the magic."""
+
+_LOOSE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+"""What lies in chunks, and in a file without chunks one after the other."""
 
 _UNPACKERS: dict[str, Callable[[], object]] = {
     "lz4": lz4.frame.LZ4FrameDecompressor,
@@ -74,45 +71,8 @@ class Tolerance(IntEnum):
     DAMAGED = 2
 
 
-@dataclass(frozen=True)
-class McapMessage:
-    """One message.
-
-    Attributes:
-        channel: number of its topic.
-        sequence: number given by its publisher.
-        log_time_ns: place in the order of a replay.
-        publish_time_ns: when it was published.
-        content: serialised.
-    """
-
-    channel: int
-    sequence: int
-    log_time_ns: int
-    publish_time_ns: int
-    content: bytes
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A chunk, or a stretch of messages that lie in none."""
-
-    start: int
-    length: int
-    is_chunk: bool
-    first_ns: int
-    last_ns: int
-    channels: frozenset[int]
-    index: ChunkIndex | None = None
-
-    def __str__(self) -> str:
-        what = "chunk" if self.is_chunk else "stretch of messages"
-        times = f"{1e-9 * self.first_ns:.3f} s to {1e-9 * self.last_ns:.3f} s"
-        return f"the {what} at byte {self.start} (log times {times})"
-
-
 class McapFile:
-    """An MCAP file of ROS 2, opened for reading; a context manager.
+    """An MCAP file of ROS 2, opened for reading until `close`.
 
     Args:
         path: the file.
@@ -135,12 +95,12 @@ class McapFile:
             raise ValueError("is no file")
         self._file = os.open(path, os.O_RDONLY)
         self._tolerance = tolerance
-        self._is_finished = True
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.counts: Counter[int] = Counter()
         self.damage: list[str] = []
-        self._parts: list[_Part] = []
+        # Chunks, and stretches of records that lie in none.
+        self._parts: list[ChunkIndex] = []
         try:
             self._size = os.fstat(self._file).st_size
             self._open()
@@ -148,66 +108,53 @@ class McapFile:
             os.close(self._file)
             raise
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        _kind: type[BaseException] | None,
-        _error: BaseException | None,
-        _traceback: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def close(self) -> None:
         """Close the file."""
         os.close(self._file)
 
-    def messages(self, channels: Collection[int]) -> Iterator[McapMessage]:
+    def messages(self, channels: Collection[int]) -> Iterator[Message]:
         """Yield the messages of the given channels by log time, those of equal times as they lie.
 
         Raises:
-            DamagedError: a chunk is damaged or messages lack, and the file may not be damaged.
+            DamagedError: a chunk is damaged or messages are missing, and the file may not be
+                damaged.
         """
         wanted = frozenset(channels)
-        coming = deque(
-            sorted(
-                (
-                    (part.first_ns, number)
-                    for number, part in enumerate(self._parts)
-                    if part.channels & wanted
-                ),
-            )
-        )
-        contents = _Kept(KEPT_BYTES)
-        pending: list[tuple[int, int, int, int]] = []
+        # Log time, part, start and end of a message in it; an end of 0 stands for the part itself.
+        queue = [
+            (part.message_start_time, number, 0, 0)
+            for number, part in enumerate(self._parts)
+            if not wanted.isdisjoint(part.message_index_offsets)
+        ]
+        heapify(queue)
+        contents = _Contents(self._content, KEPT_BYTES)
         found: Counter[int] = Counter()
-        while coming or pending:
-            while coming and (not pending or coming[0][0] <= pending[0][0]):
-                number = coming.popleft()[1]
-                part = self._parts[number]
-                try:
-                    content = self._content(part)
-                    places = list(self._places(part, content, wanted))
-                except DamagedError as error:
-                    self._spoilt(f"is damaged in {part}: {error}")
-                    continue
-                contents.keep(number, content)
-                for place in places:
-                    heappush(pending, (place[0], number, *place[1:]))
-            if not pending:
-                break
-            _, number, start, end = heappop(pending)
-            kept = contents.get(number)
-            if kept is None:
-                kept = self._content(self._parts[number])
-                contents.keep(number, kept)
-            message = _message(kept[start:end])
-            found[message.channel] += 1
-            yield message
-        lacking = sum(max(0, self.counts[channel] - found[channel]) for channel in wanted)
-        if lacking and not self.damage:
-            self._spoilt(f"lacks {lacking} messages that its index counts")
+        while queue:
+            _, number, start, end = heappop(queue)
+            part = self._parts[number]
+            try:
+                content = contents.get(number)
+                places = self._places_within(part, content, wanted) if end == 0 else []
+            except DamagedError as error:
+                self._spoilt(
+                    f"is damaged in the chunk at byte {part.chunk_start_offset} (log times "
+                    f"{1e-9 * part.message_start_time:.3f} s to "
+                    f"{1e-9 * part.message_end_time:.3f} s): {error}"
+                )
+                continue
+            for log_time_ns, message_start, message_end in places:
+                heappush(queue, (log_time_ns, number, message_start, message_end))
+            if end == 0:
+                continue
+            channel, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(
+                content, start
+            )
+            found[channel] += 1
+            data = bytes(content[start + MESSAGE_HEAD.size : end])
+            yield Message(channel, log_time_ns, data, publish_time_ns, sequence)
+        missing = sum(max(0, self.counts[channel] - found[channel]) for channel in wanted)
+        if missing and not self.damage:
+            self._spoilt(f"lacks {missing} messages that its index counts")
 
     def _spoilt(self, words: str, tolerated_by: Tolerance = Tolerance.DAMAGED) -> None:
         if self._tolerance < tolerated_by:
@@ -226,157 +173,137 @@ class McapFile:
         except DamagedError as error:
             self._spoilt(f"has no header that can be read ({error})")
             start = None
+        footer, self._is_indexed = None, False
         try:
-            self._is_finished = self._has_end()
-            is_indexed = self._is_finished and self._read_summary(*self._summary())
+            footer = self._footer()
+            self._is_indexed = footer is not None and self._read_summary(footer)
         except DamagedError as error:
             self._spoilt(str(error))
-            is_indexed = False
-        if not is_indexed and start is not None:
-            self._scan(start)
+        if not self._is_indexed and start is not None:
+            # Where a file was not finished, a break in it is its end.
+            self._scan(start, Tolerance.DAMAGED if footer else Tolerance.UNFINISHED)
 
     def _header(self) -> int:
         """Return where the data begin."""
-        opcode, header, end = self._record(len(MAGIC), LARGEST_RECORD_BYTES)
+        opcode, end = self._head(len(MAGIC))
         if opcode != Opcode.HEADER:
             raise DamagedError("is damaged at byte 8")
-        profile = Fields(header).text()
+        start = len(MAGIC) + HEAD.size
+        profile = parse(Header, self._octets(start, end - start)).profile
         if profile != PROFILE:
             raise DamagedError(f"its profile is {profile[:40]!r}, expected {PROFILE!r}")
         return end
 
-    def _record(self, start: int, largest: int) -> tuple[int, memoryview, int]:
-        """Return opcode and content of a record, and where it ends."""
+    def _octets(self, start: int, length: int) -> memoryview:
+        if length > LARGEST_CHUNK_BYTES:
+            raise DamagedError(
+                f"has a part of {length} bytes, more than the {LARGEST_CHUNK_BYTES} that are read "
+                "at once"
+            )
+        octets = os.pread(self._file, length, start)
+        if len(octets) < length:
+            raise DamagedError("it is cut off")
+        return memoryview(octets)
+
+    def _head(self, start: int) -> tuple[int, int]:
+        """Return the opcode of a record, and where it ends."""
         head = os.pread(self._file, HEAD.size, start)
         if len(head) < HEAD.size:
             raise DamagedError(f"breaks off at byte {start}")
         opcode, length = HEAD.unpack(head)
-        end = start + HEAD.size + length
-        if end > self._size:
+        left = self._size - start - HEAD.size
+        if length > left:
             raise DamagedError(
-                f"breaks off at byte {start}: a record of {length} bytes is begun, "
-                f"{self._size - start - HEAD.size} are there"
+                f"breaks off at byte {start}: a record of {length} bytes is begun, {left} are there"
             )
-        if length > largest:
-            raise DamagedError(
-                f"has a record of {length} bytes at byte {start}, more than the {largest} that are "
-                "read"
-            )
-        content = os.pread(self._file, length, start + HEAD.size)
-        if len(content) < length:
-            raise DamagedError(f"breaks off at byte {start}")
-        return opcode, memoryview(content), end
+        return opcode, start + HEAD.size + length
 
-    def _tail(self) -> bytes:
-        return os.pread(self._file, TAIL_BYTES, max(0, self._size - TAIL_BYTES))
+    def _footer(self) -> Footer | None:
+        """Return the end of a file that was finished."""
+        start = max(0, self._size - _TAIL_BYTES)
+        tail = self._octets(start, self._size - start)
+        if len(tail) == _TAIL_BYTES:
+            footer = parse(Footer, tail[HEAD.size : -len(MAGIC)])
+            if tail == pack(footer) + MAGIC:
+                return footer
+        words = "was not finished or is cut off: it has no index at its end"
+        self._spoilt(words, Tolerance.UNFINISHED)
+        return None
 
-    def _has_end(self) -> bool:
-        tail = self._tail()
-        has_end = (
-            len(tail) == TAIL_BYTES
-            and tail.startswith(HEAD.pack(Opcode.FOOTER, FOOTER.size))
-            and tail.endswith(MAGIC)
-        )
-        if not has_end:
-            words = "was not finished or is cut off: it has no index at its end"
-            self._spoilt(words, Tolerance.UNFINISHED)
-        return has_end
-
-    def _summary(self) -> tuple[memoryview, int]:
-        """Return the summary and where it begins; nothing where the file has none."""
-        tail = self._tail()
-        start, offsets_start, expected = FOOTER.unpack(tail[HEAD.size : HEAD.size + FOOTER.size])
-        if start == 0:
-            return memoryview(b""), self._size - TAIL_BYTES
-        length = self._size - TAIL_BYTES - start
-        if start < len(MAGIC) or length < 0:
-            raise DamagedError(f"says that its index is at byte {start}, where it cannot be")
-        summary = os.pread(self._file, length, start)
-        if expected:
-            checked = summary + tail[: HEAD.size] + struct.pack("<QQ", start, offsets_start)
-            if zlib.crc32(checked) != expected:
-                raise DamagedError("is damaged: the checksum of its index does not match")
-        return memoryview(summary), start
-
-    def _read_summary(self, summary: memoryview, end: int) -> bool:
+    def _read_summary(self, footer: Footer) -> bool:
         """Take channels and chunks from the summary; return whether it has them."""
+        start, expected = footer.summary_start, footer.summary_crc
+        end = self._size - _TAIL_BYTES
+        if start == 0:
+            return False
+        if not len(MAGIC) <= start <= end:
+            raise DamagedError(f"says that its index is at byte {start}, where it cannot be")
+        summary = self._octets(start, end - start)
+        # The checksum is of the footer, too, up to the checksum itself.
+        if expected and zlib.crc32(pack(footer)[:-4], zlib.crc32(summary)) != expected:
+            raise DamagedError("is damaged: the checksum of its index does not match")
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
-        counts: Counter[int] = Counter()
-        message_count: int | None = None
-        parts = []
-        for opcode, content, _ in _records(summary):
+        statistics: Statistics | None = None
+        parts: list[ChunkIndex] = []
+        for opcode, content, _ in split(summary):
             if opcode == Opcode.SCHEMA:
-                number, schema = Schema.read(content)
-                schemas[number] = schema
+                schema = parse(Schema, content)
+                schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
-                number, channel = Channel.read(content)
-                channels[number] = channel
+                channel = parse(Channel, content)
+                channels[channel.id] = channel
             elif opcode == Opcode.STATISTICS:
-                fields = Fields(content)
-                message_count = fields.numbers("QHIIIIQQ")[0]
-                entries = Fields(fields.prefixed())
-                while entries:
-                    number, count = entries.numbers("HQ")
-                    counts[number] = count
+                statistics = parse(Statistics, content)
             elif opcode == Opcode.CHUNK_INDEX:
-                parts.append(self._indexed(ChunkIndex.read(content), end))
-        indexed = frozenset(number for part in parts for number in part.channels)
+                part = parse(ChunkIndex, content)
+                if not len(MAGIC) <= part.chunk_start_offset <= start - part.chunk_length:
+                    raise DamagedError(
+                        f"has an index of a chunk at byte {part.chunk_start_offset}, where none "
+                        "can be"
+                    )
+                parts.append(part)
+        if statistics is None:
+            return False
+        counts = Counter(statistics.channel_message_counts)
         has_all = (
-            indexed <= channels.keys()
-            and all(channel.schema in schemas for channel in channels.values())
-            and (bool(parts) or message_count == 0)
-            and message_count == counts.total()
-            and all(part.channels for part in parts)
+            statistics.message_count == counts.total()
+            and (bool(parts) or statistics.message_count == 0)
+            and all(part.message_index_offsets for part in parts)
+            and all(part.message_index_offsets.keys() <= channels.keys() for part in parts)
+            and all(channel.schema_id in schemas for channel in channels.values())
         )
         if has_all:
             self.schemas, self.channels, self.counts, self._parts = schemas, channels, counts, parts
         return has_all
 
-    def _indexed(self, index: ChunkIndex, end: int) -> _Part:
-        if not len(MAGIC) <= index.start <= index.start + index.length <= end:
-            raise DamagedError(f"has an index of a chunk at byte {index.start}, where none can be")
-        return _Part(
-            index.start,
-            index.length,
-            True,
-            index.first_ns,
-            index.last_ns,
-            frozenset(index.message_indexes),
-            index,
-        )
-
-    def _scan(self, start: int) -> None:
-        """Make the index again, from what lies in the file from its header on."""
+    def _scan(self, start: int, tolerates_break: Tolerance) -> None:
+        """Recreate the index, from what lies in the file from its header on."""
         while start < self._size:
             try:
-                opcode, end = self._next(start)
+                opcode, end = self._head(start)
+                if opcode == 0 and not self._is_zero_from(start):
+                    raise DamagedError(f"breaks off at byte {start}")
             except DamagedError as error:
                 words = f"{error}; the {self._size - start} bytes from there on cannot be read"
-                self._spoilt(words, self._cut())
+                self._spoilt(words, tolerates_break)
                 return
             if opcode in (0, Opcode.DATA_END, Opcode.FOOTER):
                 return
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define(opcode, self._record(start, LARGEST_RECORD_BYTES)[1])
-            elif opcode in (Opcode.CHUNK, Opcode.MESSAGE):
-                self._scan_part(start, end - start, is_chunk=opcode == Opcode.CHUNK)
+            if opcode in _LOOSE:
+                end = self._stretch_end(start, end)
+            if opcode in (*_LOOSE, Opcode.CHUNK):
+                try:
+                    self._scan_part(start, end - start)
+                except DamagedError as error:
+                    what = "chunk" if opcode == Opcode.CHUNK else "messages"
+                    # Where nothing follows, its writing was cut short.
+                    is_last = self._is_zero_from(end)
+                    self._spoilt(
+                        f"is damaged in the {what} at byte {start}: {error}",
+                        tolerates_break if is_last else Tolerance.DAMAGED,
+                    )
             start = end
-
-    def _next(self, start: int) -> tuple[int, int]:
-        """Return opcode and end of a record, of a stretch of messages, or of room left (0)."""
-        opcode, length = HEAD.unpack(self._head(start))
-        if opcode == Opcode.MESSAGE:
-            return opcode, self._stretch(start)
-        if opcode == 0 and self._is_zero_from(start):
-            return opcode, self._size
-        if opcode == 0 or start + HEAD.size + length > self._size:
-            raise DamagedError(f"breaks off at byte {start}")
-        return opcode, start + HEAD.size + length
-
-    def _cut(self) -> Tolerance:
-        """Return what tolerates a break in the file."""
-        return Tolerance.DAMAGED if self._is_finished else Tolerance.UNFINISHED
 
     def _is_zero_from(self, start: int) -> bool:
         while octets := os.pread(self._file, STRETCH_BYTES, start):
@@ -385,180 +312,122 @@ class McapFile:
             start += len(octets)
         return True
 
-    def _head(self, start: int) -> bytes:
-        head = os.pread(self._file, HEAD.size, start)
-        if len(head) < HEAD.size:
-            raise DamagedError(f"breaks off at byte {start}")
-        return head
-
-    def _stretch(self, start: int) -> int:
-        """Return where a stretch of messages ends that lie in no chunk."""
-        end = start
+    def _stretch_end(self, start: int, end: int) -> int:
+        """Return where a stretch of records ends that lie in no chunk; the first ends at `end`."""
         while end < self._size and end - start < STRETCH_BYTES:
-            opcode, length = HEAD.unpack(self._head(end))
-            if opcode != Opcode.MESSAGE or end + HEAD.size + length > self._size:
+            try:
+                opcode, next_end = self._head(end)
+            except DamagedError:
                 break
-            end += HEAD.size + length
-        if end == start:
-            raise DamagedError(f"breaks off at byte {start}")
+            if opcode not in _LOOSE:
+                break
+            end = next_end
         return end
 
-    def _scan_part(self, start: int, length: int, *, is_chunk: bool) -> None:
+    def _scan_part(self, start: int, length: int) -> None:
         """Look at all of a part, and take its topics and times from what is in it."""
-        part = _Part(start, length, is_chunk, 0, LARGEST_NS, frozenset())
-        try:
-            content = self._content(part)
-            counts: Counter[int] = Counter()
-            times = []
-            for opcode, inner, _ in _records(content):
-                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._define(opcode, inner)
-                elif opcode == Opcode.MESSAGE:
-                    message = _message(inner)
-                    if message.channel not in self.channels:
-                        raise DamagedError(f"holds messages of an unknown topic {message.channel}")
-                    counts[message.channel] += 1
-                    times.append(message.log_time_ns)
-        except DamagedError as error:
-            what = "chunk" if is_chunk else "messages"
-            # Where nothing follows, its writing was cut short.
-            is_last = self._is_zero_from(start + length)
-            tolerated_by = self._cut() if is_last else Tolerance.DAMAGED
-            self._spoilt(f"is damaged in the {what} at byte {start}: {error}", tolerated_by)
+        chunk = self._chunk(start, length)
+        content = _unpacked(chunk)
+        for opcode, inner, _ in split(content):
+            if opcode == Opcode.SCHEMA:
+                schema = parse(Schema, inner)
+                self.schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = parse(Channel, inner)
+                if channel.schema_id not in self.schemas:
+                    raise DamagedError(f"topic {channel.topic} has no schema")
+                self.channels[channel.id] = channel
+        places = list(self._places(content))
+        if not places:
             return
-        if times:
-            self.counts += counts
-            found = _Part(start, length, is_chunk, min(times), max(times), frozenset(counts))
-            self._parts.append(found)
+        counts = Counter(number for number, *_ in places)
+        times = [log_time_ns for _, log_time_ns, *_ in places]
+        chunk = replace(chunk, message_start_time=min(times), message_end_time=max(times))
+        self.counts += counts
+        self._parts.append(chunk_index(chunk, start, length, dict.fromkeys(counts, 0)))
 
-    def _define(self, opcode: int, content: memoryview) -> None:
-        if opcode == Opcode.SCHEMA:
-            number, schema = Schema.read(content)
-            self.schemas[number] = schema
-            return
-        number, channel = Channel.read(content)
-        if channel.schema not in self.schemas:
-            raise DamagedError(f"topic {channel.topic} has no schema")
-        self.channels[number] = channel
-
-    def _content(self, part: _Part) -> memoryview:
-        """Return the records of a part, their checksum checked."""
-        if part.length > LARGEST_CHUNK_BYTES:
-            raise DamagedError(
-                f"{part.length} bytes, more than the {LARGEST_CHUNK_BYTES} that are read at once"
-            )
-        octets = os.pread(self._file, part.length, part.start)
-        if len(octets) < part.length:
-            raise DamagedError("it is cut off")
-        if not part.is_chunk:
-            return memoryview(octets)
-        opcode, length = HEAD.unpack(octets[: HEAD.size])
-        if opcode != Opcode.CHUNK or length != part.length - HEAD.size:
+    def _chunk(self, start: int, length: int) -> Chunk:
+        """Return a chunk; records that lie in none are returned as one that is not compressed."""
+        octets = self._octets(start, length)
+        opcode, content, end = next(split(octets), (0, octets, 0))
+        if opcode in _LOOSE:
+            return Chunk("", octets, 0, 0, 0, length)  # type: ignore[arg-type]
+        if opcode != Opcode.CHUNK or end != length:
             raise DamagedError("no chunk of that length is there")
-        fields = Fields(memoryview(octets)[HEAD.size :])
-        first_ns, last_ns, size, expected = CHUNK_HEAD.unpack(fields.octets(CHUNK_HEAD.size))
-        compression = fields.text()
-        packed = fields.octets(fields.number("Q"))
-        if part.index is not None and (
-            (first_ns, last_ns, size, compression, len(packed))
-            != (
-                part.index.first_ns,
-                part.index.last_ns,
-                part.index.size,
-                part.index.compression,
-                part.index.compressed_size,
-            )
-        ):
-            raise DamagedError("its head differs from the index")
-        content = _unpacked(packed, compression, size)
-        if expected and zlib.crc32(content) != expected:
-            raise DamagedError("its checksum does not match: bytes have changed")
-        return content
+        return parse(Chunk, content, LARGEST_CHUNK_BYTES)
 
-    def _places(
-        self, part: _Part, content: memoryview, wanted: Collection[int]
-    ) -> Iterator[tuple[int, int, int]]:
-        """Yield log time, start and end of the messages of the wanted channels."""
-        for opcode, inner, end in _records(content):
+    def _content(self, number: int) -> memoryview:
+        """Return the records of a part, their checksum checked."""
+        part = self._parts[number]
+        start, length = part.chunk_start_offset, part.chunk_length
+        chunk = self._chunk(start, length)
+        offsets, index_length = part.message_index_offsets, part.message_index_length
+        found = chunk_index(chunk, start, length, offsets, index_length)
+        if self._is_indexed and found != part:
+            raise DamagedError("its head differs from the index")
+        return _unpacked(chunk)
+
+    def _places(self, content: memoryview) -> Iterator[tuple[int, int, int, int]]:
+        """Yield channel, log time, start and end of the messages."""
+        for opcode, inner, end in split(content):
             if opcode != Opcode.MESSAGE:
                 continue
-            channel, _, log_time_ns, _ = _message_head(inner)
+            if len(inner) < MESSAGE_HEAD.size:
+                raise DamagedError(f"holds a message of {len(inner)} bytes without a head")
+            channel, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(inner)
             if channel not in self.channels:
                 raise DamagedError(f"holds messages of an unknown topic {channel}")
-            if not part.first_ns <= log_time_ns <= part.last_ns:
+            yield channel, log_time_ns, end - len(inner), end
+
+    def _places_within(
+        self, part: ChunkIndex, content: memoryview, wanted: Collection[int]
+    ) -> list[tuple[int, int, int]]:
+        """Return log time, start and end of a part's messages of the wanted channels."""
+        places = list(self._places(content))
+        for _, log_time_ns, *_ in places:
+            if not part.message_start_time <= log_time_ns <= part.message_end_time:
                 raise DamagedError("holds messages of other times than its index says")
-            if channel in wanted:
-                yield log_time_ns, end - len(inner), end
+        return [(time, start, end) for channel, time, start, end in places if channel in wanted]
 
 
-class _Kept:
-    """Unpacked chunks, those used last, within a number of bytes."""
+class _Contents:
+    """What parts hold; that of those used last is kept, within a number of bytes."""
 
-    def __init__(self, largest_bytes: int) -> None:
-        self._largest = largest_bytes
-        self._size = 0
-        self._contents: OrderedDict[int, memoryview] = OrderedDict()
+    def __init__(self, read: Callable[[int], memoryview], largest_bytes: int) -> None:
+        self._read, self._largest, self._size = read, largest_bytes, 0
+        self._kept: OrderedDict[int, memoryview] = OrderedDict()
 
-    def keep(self, number: int, content: memoryview) -> None:
-        self._contents[number] = content
+    def get(self, number: int) -> memoryview:
+        if number in self._kept:
+            self._kept.move_to_end(number)
+            return self._kept[number]
+        content = self._kept[number] = self._read(number)
         self._size += len(content)
-        while self._size > self._largest and len(self._contents) > 1:
-            self._size -= len(self._contents.popitem(last=False)[1])
-
-    def get(self, number: int) -> memoryview | None:
-        content = self._contents.get(number)
-        if content is not None:
-            self._contents.move_to_end(number)
+        while self._size > self._largest and len(self._kept) > 1:
+            self._size -= len(self._kept.popitem(last=False)[1])
         return content
 
 
-def _records(content: memoryview) -> Iterator[tuple[int, memoryview, int]]:
-    """Yield opcode and content of the records, and where each ends.
-
-    Raises:
-        DamagedError: the last one is not whole.
-    """
-    start = 0
-    while start < len(content):
-        if start + HEAD.size > len(content):
-            raise DamagedError("ends in half a record")
-        opcode, length = HEAD.unpack_from(content, start)
-        end = start + HEAD.size + length
-        if end > len(content):
-            raise DamagedError(f"holds a record of {length} bytes that reaches beyond it")
-        yield opcode, content[start + HEAD.size : end], end
-        start = end
-
-
-def _message_head(content: memoryview) -> tuple[int, int, int, int]:
-    if len(content) < MESSAGE_HEAD.size:
-        raise DamagedError(f"holds a message of {len(content)} bytes without a head")
-    channel, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(content)
-    return channel, sequence, log_time_ns, publish_time_ns
-
-
-def _message(content: memoryview) -> McapMessage:
-    return McapMessage(*_message_head(content), bytes(content[MESSAGE_HEAD.size :]))
-
-
-def _unpacked(packed: memoryview, compression: str, size: int) -> memoryview:
-    """Return what is packed, of exactly the size that is promised."""
+def _unpacked(chunk: Chunk) -> memoryview:
+    """Return the records of a chunk, of the size that it promises and of its checksum."""
+    size, compression = chunk.uncompressed_size, chunk.compression
     if size > LARGEST_CHUNK_BYTES:
         raise DamagedError(
             f"unpacks to {size} bytes, more than the {LARGEST_CHUNK_BYTES} that are read at once"
         )
-    if not compression:
-        content: bytes | memoryview = packed
-    elif compression in _UNPACKERS:
+    content = chunk.data
+    if compression in _UNPACKERS:
         unpacker = _UNPACKERS[compression]()
         try:
             # One byte more than promised, so that more shows.
-            content = unpacker.decompress(bytes(packed), size + 1)  # type: ignore[attr-defined]
+            content = unpacker.decompress(bytes(content), size + 1)  # type: ignore[attr-defined]
         # Each library raises errors of its own, and lz4 bare RuntimeErrors.
         except Exception as error:
             raise DamagedError(f"cannot be unpacked ({error})") from error
-    else:
+    elif compression:
         raise DamagedError(f"is packed by {compression!r}, expected lz4, zstd or nothing")
     if len(content) != size:
         raise DamagedError(f"unpacks to {len(content)} bytes or more, its head says {size}")
+    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+        raise DamagedError("its checksum does not match: bytes have changed")
     return memoryview(content)

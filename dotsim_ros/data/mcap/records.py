@@ -1,242 +1,119 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Records of an MCAP file, packed and unpacked within bounds."""
+"""Records of an MCAP file, packed and parsed by PyPI's `mcap`, within bounds."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from enum import IntEnum
+from collections.abc import Iterator
+from io import BytesIO
+from typing import TypeVar
+
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.records import Chunk, ChunkIndex, McapRecord
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "ros2"
 HEAD = struct.Struct("<BQ")
-"""What every record begins with: its opcode and the length of its content."""
+"""The start of every record: its opcode and the length of its content."""
 
-FOOTER = struct.Struct("<QQI")
-"""Start of the summary, start of its offsets, checksum."""
+LARGEST_RECORD_BYTES = 2**26
+"""Of a record other than a chunk or a message."""
 
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Channel, sequence, log time, publish time (ns)."""
+"""Channel, sequence, log time, publish time (ns): a message is looked at without its content."""
 
-CHUNK_HEAD = struct.Struct("<QQQI")
-"""First and last log time (ns), bytes unpacked, checksum."""
-
-TAIL_BYTES = HEAD.size + FOOTER.size + len(MAGIC)
-"""What a finished file ends with: the footer and the magic."""
-
-
-class Opcode(IntEnum):
-    """Kinds of records."""
-
-    HEADER = 0x01
-    FOOTER = 0x02
-    SCHEMA = 0x03
-    CHANNEL = 0x04
-    MESSAGE = 0x05
-    CHUNK = 0x06
-    MESSAGE_INDEX = 0x07
-    CHUNK_INDEX = 0x08
-    ATTACHMENT = 0x09
-    ATTACHMENT_INDEX = 0x0A
-    STATISTICS = 0x0B
-    METADATA = 0x0C
-    METADATA_INDEX = 0x0D
-    SUMMARY_OFFSET = 0x0E
-    DATA_END = 0x0F
+Record = TypeVar("Record", bound=McapRecord)
 
 
 class DamagedError(ValueError):
     """A file that is MCAP and not whole: what is left of it can be saved."""
 
 
-def record(opcode: Opcode, content: bytes) -> bytes:
-    """Return a record."""
-    return HEAD.pack(opcode, len(content)) + content
+class _Content(ReadDataStream):
+    """The content of a record, which is not copied.
 
-
-def prefixed(content: bytes | str) -> bytes:
-    """Return bytes, or a text as UTF-8, behind their length."""
-    octets = content.encode() if isinstance(content, str) else content
-    return struct.pack("<I", len(octets)) + octets
-
-
-def mapping(entries: Mapping[str, str]) -> bytes:
-    """Return names and values behind their length."""
-    return prefixed(b"".join(prefixed(name) + prefixed(value) for name, value in entries.items()))
-
-
-class Fields:
-    """Unpacks the content of a record from its beginning.
-
-    Raises (each method):
-        DamagedError: the record ends before the field does, or a text is not UTF-8.
+    Where a field reaches beyond its end, mcap's own stream returns less than was asked for, or
+    asks for as much memory as the field claims.
     """
 
-    def __init__(self, content: bytes | memoryview) -> None:
-        self._content = memoryview(content)
+    def __init__(self, content: memoryview) -> None:
+        super().__init__(BytesIO())
+        self._size, self._left = len(content), content
 
-    def __bool__(self) -> bool:
-        """Return whether anything is left."""
-        return len(self._content) > 0
+    @property
+    def count(self) -> int:
+        return self._size - len(self._left)
 
-    def octets(self, length: int) -> memoryview:
-        """Take that many bytes."""
-        if length > len(self._content):
+    def read(self, length: int) -> memoryview:  # type: ignore[override]
+        if length > len(self._left):
             raise DamagedError(
-                f"has a field of {length} bytes in a record with {len(self._content)} left"
+                f"has a field of {length} bytes in a record with {len(self._left)} left"
             )
-        taken, self._content = self._content[:length], self._content[length:]
-        return taken
-
-    def numbers(self, form: str) -> tuple[int, ...]:
-        """Take numbers, little-endian, of a form of `struct`."""
-        return struct.unpack(f"<{form}", self.octets(struct.calcsize(f"<{form}")))
-
-    def number(self, form: str) -> int:
-        """Take one number."""
-        return self.numbers(form)[0]
-
-    def prefixed(self) -> memoryview:
-        """Take bytes behind their length."""
-        return self.octets(self.number("I"))
-
-    def text(self) -> str:
-        """Take a text behind its length."""
-        try:
-            return bytes(self.prefixed()).decode()
-        except UnicodeDecodeError as error:
-            raise DamagedError(f"has a text that is not UTF-8 ({error})") from error
-
-    def mapping(self) -> dict[str, str]:
-        """Take names and values behind their length."""
-        entries, taken = Fields(self.prefixed()), {}
-        while entries:
-            name = entries.text()
-            taken[name] = entries.text()
+        taken, self._left = self._left[:length], self._left[length:]
         return taken
 
 
-@dataclass(frozen=True)
-class Schema:
-    """Definition of a message type.
+def pack(record: McapRecord) -> bytes:
+    """Return a record as it lies in a file."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
 
-    Attributes:
-        name: the type, such as "geometry_msgs/msg/WrenchStamped".
-        encoding: language of the definition, such as "ros2msg".
-        definition: its text.
+
+def parse(kind: type[Record], content: memoryview, largest: int = LARGEST_RECORD_BYTES) -> Record:
+    """Return the record of a class of `mcap.records` whose content that is.
+
+    Raises:
+        DamagedError: it is larger than `largest` bytes, a field reaches beyond it, or a text is not
+            UTF-8.
     """
-
-    name: str
-    encoding: str
-    definition: bytes
-
-    def content(self, number: int) -> bytes:
-        """Return the record's content."""
-        return (
-            struct.pack("<H", number)
-            + prefixed(self.name)
-            + prefixed(self.encoding)
-            + prefixed(self.definition)
-        )
-
-    @classmethod
-    def read(cls, content: memoryview) -> tuple[int, Schema]:
-        """Return a record's number and schema."""
-        fields = Fields(content)
-        number = fields.number("H")
-        return number, cls(fields.text(), fields.text(), bytes(fields.prefixed()))
+    if len(content) > largest:
+        raise DamagedError(f"has a record of {len(content)} bytes, more than {largest}")
+    try:
+        return kind.read(_Content(content))  # type: ignore[attr-defined]
+    except UnicodeDecodeError as error:
+        raise DamagedError(f"has a text that is not UTF-8 ({error})") from error
 
 
-@dataclass(frozen=True)
-class Channel:
-    """A topic.
+def split(content: memoryview) -> Iterator[tuple[int, memoryview, int]]:
+    """Yield opcode and content of the records that lie one after the other, and where each ends.
 
-    Attributes:
-        schema: number of its schema.
-        topic: its name.
-        encoding: of the messages, such as "cdr".
-        metadata: more about it, such as its QoS.
+    Raises:
+        DamagedError: the last one is not whole.
     """
-
-    schema: int
-    topic: str
-    encoding: str
-    metadata: Mapping[str, str] = field(default_factory=dict)
-
-    def content(self, number: int) -> bytes:
-        """Return the record's content."""
-        return (
-            struct.pack("<HH", number, self.schema)
-            + prefixed(self.topic)
-            + prefixed(self.encoding)
-            + mapping(self.metadata)
-        )
-
-    @classmethod
-    def read(cls, content: memoryview) -> tuple[int, Channel]:
-        """Return a record's number and channel."""
-        fields = Fields(content)
-        number, schema = fields.numbers("HH")
-        return number, cls(schema, fields.text(), fields.text(), fields.mapping())
+    start = 0
+    while start < len(content):
+        if start + HEAD.size > len(content):
+            raise DamagedError("ends in half a record")
+        opcode, length = HEAD.unpack_from(content, start)
+        end = start + HEAD.size + length
+        if end > len(content):
+            raise DamagedError(f"holds a record of {length} bytes that reaches beyond it")
+        yield opcode, content[start + HEAD.size : end], end
+        start = end
 
 
-@dataclass(frozen=True)
-class ChunkIndex:
-    """Where a chunk lies and what is in it.
+def chunk_index(
+    chunk: Chunk, start: int, length: int, offsets: dict[int, int], index_length: int = 0
+) -> ChunkIndex:
+    """Return what the summary says of a chunk.
 
-    Attributes:
-        first_ns, last_ns: log times.
-        start: of its record, in bytes from the beginning of the file.
-        length: of its record, in bytes.
-        message_indexes: where the index of each channel's messages lies.
-        message_index_length: of all of them, in bytes.
-        compression: "", "lz4" or "zstd".
-        compressed_size, size: of its records, in bytes, as they lie there and unpacked.
+    Args:
+        chunk: the chunk.
+        start, length: of its record, in bytes from the beginning of the file.
+        offsets: where the index of each channel's messages lies.
+        index_length: of all these indexes, in bytes.
     """
-
-    first_ns: int
-    last_ns: int
-    start: int
-    length: int
-    message_indexes: Mapping[int, int]
-    message_index_length: int
-    compression: str
-    compressed_size: int
-    size: int
-
-    def content(self) -> bytes:
-        """Return the record's content."""
-        offsets = b"".join(struct.pack("<HQ", *entry) for entry in self.message_indexes.items())
-        return (
-            struct.pack("<QQQQ", self.first_ns, self.last_ns, self.start, self.length)
-            + prefixed(offsets)
-            + struct.pack("<Q", self.message_index_length)
-            + prefixed(self.compression)
-            + struct.pack("<QQ", self.compressed_size, self.size)
-        )
-
-    @classmethod
-    def read(cls, content: memoryview) -> ChunkIndex:
-        """Return a record's chunk index."""
-        fields = Fields(content)
-        first_ns, last_ns, start, length = fields.numbers("QQQQ")
-        offsets, message_indexes = Fields(fields.prefixed()), {}
-        while offsets:
-            channel, offset = offsets.numbers("HQ")
-            message_indexes[channel] = offset
-        message_index_length, compression = fields.number("Q"), fields.text()
-        compressed_size, size = fields.numbers("QQ")
-        return cls(
-            first_ns,
-            last_ns,
-            start,
-            length,
-            message_indexes,
-            message_index_length,
-            compression,
-            compressed_size,
-            size,
-        )
+    return ChunkIndex(
+        chunk_length=length,
+        chunk_start_offset=start,
+        compression=chunk.compression,
+        compressed_size=len(chunk.data),
+        message_end_time=chunk.message_end_time,
+        message_index_length=index_length,
+        message_index_offsets=offsets,
+        message_start_time=chunk.message_start_time,
+        uncompressed_size=chunk.uncompressed_size,
+    )

@@ -7,35 +7,35 @@ from __future__ import annotations
 
 import errno
 import os
-import struct
 import zlib
-from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
-from dotsim_ros import __version__
-from dotsim_ros.data.mcap.records import (
-    CHUNK_HEAD,
-    FOOTER,
-    HEAD,
-    MAGIC,
-    MESSAGE_HEAD,
-    PROFILE,
+from mcap.data_stream import RecordBuilder
+from mcap.records import (
     Channel,
-    ChunkIndex,
-    Opcode,
+    Chunk,
+    DataEnd,
+    Footer,
+    Header,
+    Message,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
     Schema,
-    mapping,
-    prefixed,
-    record,
+    Statistics,
 )
+
+from dotsim_ros import __version__
+from dotsim_ros.data.mcap.records import MAGIC, PROFILE, chunk_index, pack
 
 CHUNK_BYTES = 2**20
 """A chunk is written when it is as large as this."""
 
 RESERVE_BYTES = 2**16
-"""Kept free on the disk for the end of the file, next to the index of its chunks."""
+"""Kept free on the disk for the end of the file, besides the index of its chunks."""
 
 LARGEST_LOG_TIME_NS = 2**63 - 1
 """ROS 2 counts time in 63 bits."""
@@ -53,6 +53,10 @@ class McapWriter:
     Args:
         path: the file.
 
+    Attributes:
+        statistics: numbers and log times (ns; 0 without any) of the messages in the file; those of
+            the open chunk are not in it.
+
     Raises:
         FileExistsError: it is there already.
         OSError: it cannot be written.
@@ -63,64 +67,47 @@ class McapWriter:
         self._end = 0
         self._data_crc = 0
         self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._written: Counter[int] = Counter()
-        self._first_ns, self._last_ns = LARGEST_LOG_TIME_NS, 0
+        self.statistics = Statistics(0, 0, {}, 0, 0, 0, 0, 0, 0)
         # What ends the file, as far as it is known.
         self._definitions = bytearray()
         self._chunk_indexes = bytearray()
-        self._chunk_count = 0
         self._begin_chunk()
         try:
             self._reserve(2 * RESERVE_BYTES)
-            head = prefixed(PROFILE) + prefixed(f"dotsim_ros {__version__}")
-            self._put(MAGIC + record(Opcode.HEADER, head))
+            self._put(MAGIC + pack(Header(PROFILE, f"dotsim_ros {__version__}")))
         except OSError:
             os.close(self._file)
             raise
 
     def _begin_chunk(self) -> None:
-        # The first chunk that reaches the disk holds what later ones refer to.
-        self._chunk = bytearray(b"" if self._chunk_count else self._definitions)
-        self._messages: dict[int, bytearray] = {}
-        self._chunk_counts: Counter[int] = Counter()
-        self._chunk_first_ns, self._chunk_last_ns = LARGEST_LOG_TIME_NS, 0
-
-    @property
-    def written(self) -> Mapping[int, int]:
-        """How many messages of each channel are in the file; those of the open chunk are not."""
-        return dict(self._written)
-
-    @property
-    def first_ns(self) -> int:
-        """The smallest log time in the file, 0 where it has no message."""
-        return self._first_ns if self._written else 0
-
-    @property
-    def last_ns(self) -> int:
-        """The largest log time in the file, 0 where it has no message."""
-        return self._last_ns
+        self._chunk = RecordBuilder()
+        self._indexes: dict[int, MessageIndex] = {}
+        if not self.statistics.chunk_count:
+            # The first chunk that reaches the disk holds what later ones refer to.
+            self._chunk.write(self._definitions)
 
     def add_channel(self, channel: Channel, schema: Schema) -> int:
         """Declare a topic; return its number.
 
         Args:
-            channel: the topic; its number of a schema is replaced.
-            schema: definition of its messages.
+            channel: the topic; its number and that of its schema are replaced.
+            schema: definition of its messages; its number is replaced.
         """
-        if schema not in self._schemas:
-            self._schemas.append(schema)
-            self._define(Opcode.SCHEMA, schema.content(len(self._schemas)))
-        number = len(self._channels) + 1
-        schema_number = self._schemas.index(schema) + 1
-        channel = Channel(schema_number, channel.topic, channel.encoding, channel.metadata)
-        self._channels.append(channel)
-        self._define(Opcode.CHANNEL, channel.content(number))
+        known = [each.id for each in self._schemas if each == replace(schema, id=each.id)]
+        if not known:
+            known = [len(self._schemas) + 1]
+            self._schemas.append(replace(schema, id=known[0]))
+            self._define(self._schemas[-1])
+        self.statistics.channel_count += 1
+        number = self.statistics.channel_count
+        self.statistics.channel_message_counts[number] = 0
+        self._define(replace(channel, id=number, schema_id=known[0]))
         return number
 
-    def _define(self, opcode: Opcode, content: bytes) -> None:
-        self._chunk += record(opcode, content)
-        self._definitions += record(opcode, content)
+    def _define(self, definition: Schema | Channel) -> None:
+        octets = pack(definition)
+        self._chunk.write(octets)
+        self._definitions += octets
 
     def write(self, channel: int, log_time_ns: int, message: bytes | memoryview) -> None:
         """Add a message to the open chunk, and write the chunk when it is large enough.
@@ -136,15 +123,10 @@ class McapWriter:
         """
         if not 0 <= log_time_ns <= LARGEST_LOG_TIME_NS:
             raise ValueError(f"log time {log_time_ns} ns is out of range, expected 0 to 2^63 - 1")
-        entry = struct.pack("<QQ", log_time_ns, len(self._chunk))
-        self._messages.setdefault(channel, bytearray()).extend(entry)
-        self._chunk += HEAD.pack(Opcode.MESSAGE, MESSAGE_HEAD.size + len(message))
-        self._chunk += MESSAGE_HEAD.pack(channel, 0, log_time_ns, log_time_ns)
-        self._chunk += message
-        self._chunk_counts[channel] += 1
-        self._chunk_first_ns = min(self._chunk_first_ns, log_time_ns)
-        self._chunk_last_ns = max(self._chunk_last_ns, log_time_ns)
-        if len(self._chunk) >= CHUNK_BYTES:
+        index = self._indexes.setdefault(channel, MessageIndex(channel, []))
+        index.records.append((log_time_ns, self._chunk.count))
+        Message(channel, log_time_ns, bytes(message), log_time_ns, 0).write(self._chunk)
+        if self._chunk.count >= CHUNK_BYTES:
             self.flush()
 
     def flush(self) -> None:
@@ -154,53 +136,42 @@ class McapWriter:
             OSError: it does not fit on the disk; none of its messages is written, and the file can
                 be finished without them.
         """
-        if not self._chunk_counts:
+        if not self._indexes:
             return
-        chunk = record(
-            Opcode.CHUNK,
-            CHUNK_HEAD.pack(
-                self._chunk_first_ns,
-                self._chunk_last_ns,
-                len(self._chunk),
-                zlib.crc32(self._chunk),
-            )
-            + prefixed("")
-            + struct.pack("<Q", len(self._chunk))
-            + self._chunk,
-        )
-        place, offsets, indexes = self._end + len(chunk), {}, bytearray()
-        for channel, entries in self._messages.items():
-            offsets[channel] = place + len(indexes)
-            content = struct.pack("<H", channel) + prefixed(bytes(entries))
-            indexes += record(Opcode.MESSAGE_INDEX, content)
-        index = record(
-            Opcode.CHUNK_INDEX,
-            ChunkIndex(
-                self._chunk_first_ns,
-                self._chunk_last_ns,
-                self._end,
-                len(chunk),
-                offsets,
-                len(indexes),
-                "",
-                len(self._chunk),
-                len(self._chunk),
-            ).content(),
-        )
-        ending = len(self._definitions) + len(self._chunk_indexes) + len(index) + RESERVE_BYTES
         try:
-            self._check_still_there()
-            self._reserve(len(chunk) + len(indexes) + ending)
-            self._put(chunk + indexes)
-        except OSError:
+            self._put_chunk()
+        finally:
             self._begin_chunk()
-            raise
+
+    def _put_chunk(self) -> None:
+        content = self._chunk.end()
+        times = [time for index in self._indexes.values() for time, _ in index.records]
+        chunk = Chunk(
+            compression="",
+            data=content,
+            message_end_time=max(times),
+            message_start_time=min(times),
+            uncompressed_crc=zlib.crc32(content),
+            uncompressed_size=len(content),
+        )
+        octets = bytearray(pack(chunk))
+        length, offsets = len(octets), {}
+        for channel, message_index in self._indexes.items():
+            offsets[channel] = self._end + len(octets)
+            octets += pack(message_index)
+        index = pack(chunk_index(chunk, self._end, length, offsets, len(octets) - length))
+        ending = len(self._definitions) + len(self._chunk_indexes) + len(index) + RESERVE_BYTES
+        self._check_still_there()
+        self._reserve(len(octets) + ending)
+        self._put(octets)
         self._chunk_indexes += index
-        self._chunk_count += 1
-        self._written += self._chunk_counts
-        self._first_ns = min(self._first_ns, self._chunk_first_ns)
-        self._last_ns = max(self._last_ns, self._chunk_last_ns)
-        self._begin_chunk()
+        done = self.statistics
+        times += [done.message_start_time, done.message_end_time] if done.chunk_count else []
+        done.message_start_time, done.message_end_time = min(times), max(times)
+        done.chunk_count += 1
+        done.message_count += sum(len(each.records) for each in self._indexes.values())
+        for channel, message_index in self._indexes.items():
+            done.channel_message_counts[channel] += len(message_index.records)
 
     def sync(self) -> None:
         """Wait until what is written is on the disk, so that it outlives a loss of power."""
@@ -230,42 +201,22 @@ class McapWriter:
         os.close(self._file)
 
     def _put_end(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
-        indexes = bytearray()
+        metadata_indexes = bytearray()
         for name, entries in metadata.items():
-            group = record(Opcode.METADATA, prefixed(name) + mapping(entries))
-            place = struct.pack("<QQ", self._end, len(group)) + prefixed(name)
-            indexes += record(Opcode.METADATA_INDEX, place)
+            group = pack(Metadata(name, dict(entries)))
+            metadata_indexes += pack(MetadataIndex(self._end, len(group), name))
             self._put(group)
-        self._put(record(Opcode.DATA_END, struct.pack("<I", self._data_crc)))
-        counts = b"".join(
-            struct.pack("<HQ", number, self._written[number])
-            for number in range(1, len(self._channels) + 1)
-        )
-        statistics = struct.pack(
-            "<QHIIIIQQ",
-            self._written.total(),
-            len(self._schemas),
-            len(self._channels),
-            0,
-            len(metadata),
-            self._chunk_count,
-            self.first_ns,
-            self.last_ns,
-        ) + prefixed(counts)
-        summary = (
-            bytes(self._definitions)
-            + record(Opcode.STATISTICS, statistics)
-            + bytes(self._chunk_indexes)
-            + bytes(indexes)
-        )
+        self._put(pack(DataEnd(self._data_crc)))
+        self.statistics.schema_count = len(self._schemas)
+        self.statistics.metadata_count = len(metadata)
+        summary = self._definitions + pack(self.statistics) + self._chunk_indexes + metadata_indexes
         start = self._end
-        head = HEAD.pack(Opcode.FOOTER, FOOTER.size)
-        checked = summary + head + struct.pack("<QQ", start, 0)
-        footer = FOOTER.pack(start, 0, zlib.crc32(checked))
-        self._put(summary + head + footer + MAGIC)
+        # The checksum is of the footer, too, up to the checksum itself.
+        checked = summary + pack(Footer(start, 0, 0))[:-4]
+        self._put(summary + pack(Footer(start, 0, zlib.crc32(checked))) + MAGIC)
 
     def _check_still_there(self) -> None:
-        """Notice what the system tells no writer: that somebody removed or cut the file.
+        """Notice that somebody removed or cut the file, which no write reports.
 
         Raises:
             OSError: so it is.
@@ -283,7 +234,7 @@ class McapWriter:
             if error.errno not in _CANNOT_RESERVE:
                 raise
 
-    def _put(self, content: bytes) -> None:
+    def _put(self, content: bytes | bytearray) -> None:
         left = memoryview(content)
         while left:
             written = os.pwrite(self._file, left, self._end + len(content) - len(left))
