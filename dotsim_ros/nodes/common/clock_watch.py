@@ -60,11 +60,13 @@ class ClockWatch:
 
     def jump(self, jump: ClockJump, now_s: float) -> None:
         """Note that it has jumped."""
-        self._jump, self._jumped_s = jump, now_s
+        # Counted first: a report of another thread that shows the jump counts it, too.
         if jump.is_restart:
             self._restarts += 1
         else:
             self._leaps += 1
+        self._jumped_s = now_s
+        self._jump = jump
 
     def silence(self, now_s: float) -> str:
         """Return in words that time does not move on; empty where it does."""
@@ -80,17 +82,18 @@ class ClockWatch:
 
     def report(self, now_s: float) -> Report:
         """Return level, message and values for the diagnostics."""
+        jump = self._jump
         since_s = now_s - (self._begun_s if self._moved_s < 0.0 else self._moved_s)
         values = {
             "silence_s": f"{since_s:.2f}",
             "restarts": str(self._restarts),
             "leaps": str(self._leaps),
-            "last_jump": "" if self._jump is None else self._jump.text(),
+            "last_jump": "" if jump is None else jump.text(),
         }
         silence = self.silence(now_s)
         if silence:
             return Level.WARN, silence, values
-        if self._jump is not None and now_s - self._jumped_s < FAULT_MEMORY_S:
-            level = Level.OK if self._jump.is_restart else Level.WARN
-            return level, self._jump.text(), values
+        if jump is not None and now_s - self._jumped_s < FAULT_MEMORY_S:
+            level = Level.OK if jump.is_restart else Level.WARN
+            return level, jump.text(), values
         return Level.OK, "running", values
