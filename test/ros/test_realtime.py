@@ -312,7 +312,7 @@ def test_disabled_makes_no_frames_and_says_so(session: Session) -> None:
         ({"image_size_px": [640, 0]}, "give both"),
         ({"input_timeout_s": 0.03}, "shorter than a frame"),
         ({"clock": "lockstep"}, "read-only"),
-        ({"indenter": "no_such_thing"}, "no parameter file"),
+        ({"indenter": "no_such_thing"}, "no indenter is named"),
         ({"indenter": "{kind: sphere, radius_m: -1.0}"}, "radius_m"),
         ({"indenter": "{kind: sphere"}, "indenter is no valid YAML"),
     ],
