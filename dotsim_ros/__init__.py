@@ -18,6 +18,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dotsim_ros.io.moved import forward_moved
+
 __version__ = "0.1.0"
 
 __all__ = [
@@ -103,3 +105,6 @@ else:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+forward_moved()

@@ -1,0 +1,46 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Names of folders of earlier releases, which lead to the new ones for a release."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import warnings
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+MOVED = {"dotsim_ros.measured": "dotsim_ros.data", "dotsim_ros.tasks": "dotsim_ros.control"}
+
+
+class _Forward(Loader):
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._spec: ModuleSpec | None = None
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        module = importlib.import_module(self._name)
+        self._spec = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        # The import system has put the old name there.
+        module.__spec__ = self._spec
+
+
+class _Finder(MetaPathFinder):
+    def find_spec(self, name: str, *_: Any) -> ModuleSpec | None:
+        for old, new in MOVED.items():
+            if name == old or name.startswith(f"{old}."):
+                now = new + name.removeprefix(old)
+                warnings.warn(f"{name} is {now}", DeprecationWarning, stacklevel=2)
+                return ModuleSpec(name, _Forward(now), is_package=name == old)
+        return None
+
+
+def forward_moved() -> None:
+    """Let the old names be imported."""
+    sys.meta_path.insert(0, _Finder())
