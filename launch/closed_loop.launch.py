@@ -28,9 +28,10 @@ from launch_ros.actions import Node
 from dotsim_ros.nodes.common.launch_arguments import (
     SENSOR,
     TIME,
-    check_arguments,
+    description,
     given,
     given_file,
+    recorder,
     sensor_arguments,
     text_of,
 )
@@ -103,12 +104,9 @@ def generate_launch_description() -> LaunchDescription:
         ),
         *sensor_arguments(),
     ]
-    return LaunchDescription(
-        [
-            *arguments,
-            OpaqueFunction(function=check_arguments, args=[arguments]),
-            OpaqueFunction(function=nodes),
-        ]
+    return description(
+        arguments,
+        OpaqueFunction(function=nodes),
     )
 
 
@@ -177,16 +175,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             condition=UnlessCondition(one_process),
             output="screen",
         ),
-        Node(
-            package="dotsim_ros",
-            executable="tactile_record",
-            namespace=namespace,
-            parameters=parameters,
-            condition=IfCondition(LaunchConfiguration("record")),
-            # The bag appears once all that waits is written: the usual 5 s could lose it.
-            sigterm_timeout="60",
-            output="screen",
-        ),
+        recorder(namespace, parameters),
         Node(
             package="dotsim_ros",
             executable="time_stepper",

@@ -22,7 +22,7 @@ from launch_ros.actions import Node
 from dotsim_ros.nodes.common.launch_arguments import (
     SENSOR,
     TIME,
-    check_arguments,
+    description,
     given,
     given_file,
     sensor_arguments,
@@ -79,52 +79,49 @@ def generate_launch_description() -> LaunchDescription:
         ),
         *sensor_arguments(),
     ]
-    return LaunchDescription(
-        [
-            *arguments,
-            OpaqueFunction(function=check_arguments, args=[arguments]),
-            Node(
-                package="ros_gz_bridge",
-                executable="parameter_bridge",
-                arguments=[
-                    [*sensor_poses, "@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V"],
-                    [*indenter_poses, "@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V"],
-                    "/clock@rosgraph_msgs/msg/Clock[gz.msgs.Clock",
-                    [*wrenches, "@ros_gz_interfaces/msg/EntityWrench]gz.msgs.EntityWrench"],
-                ],
-                remappings=[(sensor_poses, "/tf"), (indenter_poses, "/tf")],
-                output="screen",
-            ),
-            Node(
-                package="tf2_ros",
-                executable="static_transform_publisher",
-                name="sensor_base",
-                arguments=[
-                    "--z",
-                    LaunchConfiguration("base_z"),
-                    "--frame-id",
-                    sensor_link,
-                    "--child-frame-id",
-                    "densetact_base",
-                ],
-            ),
-            Node(
-                package="tf2_ros",
-                executable="static_transform_publisher",
-                name="indenter_tip",
-                arguments=[
-                    "--z",
-                    LaunchConfiguration("tip_z"),
-                    "--roll",
-                    "3.14159265",
-                    "--frame-id",
-                    indenter_link,
-                    "--child-frame-id",
-                    "indenter",
-                ],
-            ),
-            OpaqueFunction(function=sensor),
-        ]
+    return description(
+        arguments,
+        Node(
+            package="ros_gz_bridge",
+            executable="parameter_bridge",
+            arguments=[
+                [*sensor_poses, "@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V"],
+                [*indenter_poses, "@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V"],
+                "/clock@rosgraph_msgs/msg/Clock[gz.msgs.Clock",
+                [*wrenches, "@ros_gz_interfaces/msg/EntityWrench]gz.msgs.EntityWrench"],
+            ],
+            remappings=[(sensor_poses, "/tf"), (indenter_poses, "/tf")],
+            output="screen",
+        ),
+        Node(
+            package="tf2_ros",
+            executable="static_transform_publisher",
+            name="sensor_base",
+            arguments=[
+                "--z",
+                LaunchConfiguration("base_z"),
+                "--frame-id",
+                sensor_link,
+                "--child-frame-id",
+                "densetact_base",
+            ],
+        ),
+        Node(
+            package="tf2_ros",
+            executable="static_transform_publisher",
+            name="indenter_tip",
+            arguments=[
+                "--z",
+                LaunchConfiguration("tip_z"),
+                "--roll",
+                "3.14159265",
+                "--frame-id",
+                indenter_link,
+                "--child-frame-id",
+                "indenter",
+            ],
+        ),
+        OpaqueFunction(function=sensor),
     )
 
 

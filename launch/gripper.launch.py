@@ -19,7 +19,7 @@ from launch_ros.actions import Node
 from dotsim_ros.nodes.common.launch_arguments import (
     SENSOR,
     TIME,
-    check_arguments,
+    description,
     given,
     given_file,
     sensor_arguments,
@@ -40,13 +40,10 @@ def generate_launch_description() -> LaunchDescription:
         ),
         *sensor_arguments(),
     ]
-    return LaunchDescription(
-        [
-            *arguments,
-            OpaqueFunction(function=check_arguments, args=[arguments]),
-            OpaqueFunction(function=finger, args=["left"]),
-            OpaqueFunction(function=finger, args=["right"]),
-        ]
+    return description(
+        arguments,
+        OpaqueFunction(function=finger, args=["left"]),
+        OpaqueFunction(function=finger, args=["right"]),
     )
 
 

@@ -27,7 +27,7 @@ from launch_ros.actions import Node
 from dotsim_ros.nodes.common.launch_arguments import (
     SENSOR,
     TIME,
-    check_arguments,
+    description,
     given,
     given_file,
     sensor_arguments,
@@ -70,31 +70,28 @@ def generate_launch_description() -> LaunchDescription:
         ),
         *sensor_arguments(),
     ]
-    return LaunchDescription(
-        [
-            *arguments,
-            OpaqueFunction(function=check_arguments, args=[arguments]),
-            Node(
-                package="tf2_ros",
-                executable="static_transform_publisher",
-                arguments=[
-                    "--x",
-                    LaunchConfiguration("peg_x"),
-                    "--y",
-                    LaunchConfiguration("peg_y"),
-                    "--z",
-                    LaunchConfiguration("peg_z"),
-                    "--roll",
-                    LaunchConfiguration("peg_roll"),
-                    "--frame-id",
-                    "world",
-                    "--child-frame-id",
-                    LaunchConfiguration("indenter_frame"),
-                ],
-                condition=IfCondition(is_arm),
-            ),
-            OpaqueFunction(function=sensor),
-        ]
+    return description(
+        arguments,
+        Node(
+            package="tf2_ros",
+            executable="static_transform_publisher",
+            arguments=[
+                "--x",
+                LaunchConfiguration("peg_x"),
+                "--y",
+                LaunchConfiguration("peg_y"),
+                "--z",
+                LaunchConfiguration("peg_z"),
+                "--roll",
+                LaunchConfiguration("peg_roll"),
+                "--frame-id",
+                "world",
+                "--child-frame-id",
+                LaunchConfiguration("indenter_frame"),
+            ],
+            condition=IfCondition(is_arm),
+        ),
+        OpaqueFunction(function=sensor),
     )
 
 

@@ -21,9 +21,10 @@ from launch_ros.actions import Node
 from dotsim_ros.nodes.common.launch_arguments import (
     SENSOR,
     TIME,
-    check_arguments,
+    description,
     given,
     given_file,
+    recorder,
     sensor_arguments,
     text_of,
 )
@@ -68,12 +69,9 @@ def generate_launch_description() -> LaunchDescription:
             "parameters name",
         ),
     ]
-    return LaunchDescription(
-        [
-            *arguments,
-            OpaqueFunction(function=check_arguments, args=[arguments]),
-            OpaqueFunction(function=nodes),
-        ]
+    return description(
+        arguments,
+        OpaqueFunction(function=nodes),
     )
 
 
@@ -112,14 +110,5 @@ def nodes(context: LaunchContext) -> list[Node]:
             condition=IfCondition(LaunchConfiguration("play")),
             output="screen",
         ),
-        Node(
-            package="dotsim_ros",
-            executable="tactile_record",
-            namespace=namespace,
-            parameters=parameters,
-            condition=IfCondition(LaunchConfiguration("record")),
-            # The bag appears once all that waits is written: the usual 5 s could lose it.
-            sigterm_timeout="60",
-            output="screen",
-        ),
+        recorder(namespace, parameters),
     ]

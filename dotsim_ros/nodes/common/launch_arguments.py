@@ -14,8 +14,11 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from launch import LaunchContext
-from launch.actions import DeclareLaunchArgument, LogInfo
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
 
 from dotsim_ros.io.documents import is_number, parse_yaml, value_text
 from dotsim_ros.nodes.common.parameter_file import PARAMETERS_KEY, check_params_file
@@ -47,6 +50,26 @@ def sensor_arguments() -> list[DeclareLaunchArgument]:
         )
         for name, described in _DESCRIBED.items()
     ]
+
+
+def description(arguments: Sequence[DeclareLaunchArgument], *actions: Any) -> LaunchDescription:
+    """Return the description of a launch file: its arguments, their check, and what it starts."""
+    check = OpaqueFunction(function=check_arguments, args=[arguments])
+    return LaunchDescription([*arguments, check, *actions])
+
+
+def recorder(namespace: str, parameters: Sequence[str]) -> Node:
+    """Return the recorder, which starts where the argument `record` is true."""
+    return Node(
+        package="dotsim_ros",
+        executable="tactile_record",
+        namespace=namespace,
+        parameters=parameters,
+        condition=IfCondition(LaunchConfiguration("record")),
+        # The bag appears once all that waits is written: the usual 5 s could lose it.
+        sigterm_timeout="60",
+        output="screen",
+    )
 
 
 def check_arguments(
