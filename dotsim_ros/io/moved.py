@@ -13,7 +13,35 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
-MOVED = {"dotsim_ros.measured": "dotsim_ros.data", "dotsim_ros.tasks": "dotsim_ros.control"}
+MOVED = {
+    "dotsim_ros.measured": "dotsim_ros.data",
+    "dotsim_ros.metrics.images": "dotsim_ros.twin.image_metrics",
+    "dotsim_ros.metrics.presses": "dotsim_ros.twin.press_metrics",
+    "dotsim_ros.metrics.surfaces": "dotsim_ros.twin.surface_metrics",
+    "dotsim_ros.metrics": "dotsim_ros.twin",
+    "dotsim_ros.tasks.control.loop_recording": "dotsim_ros.control.loop.recording",
+    "dotsim_ros.tasks.control.safety": "dotsim_ros.control.safety_layer.limits",
+    "dotsim_ros.tasks.control": "dotsim_ros.control.safety_layer",
+    "dotsim_ros.tasks": "dotsim_ros.control",
+    **{
+        f"dotsim_ros.{name}": f"dotsim_ros.io.{name}"
+        for name in (
+            "arrays",
+            "cache",
+            "cores",
+            "documents",
+            "files",
+            "page",
+            "printable",
+            "progress",
+            "provenance",
+            "quantity",
+            "replacement",
+            "worker_pool",
+        )
+    },
+}
+"""The new name of each; the first that fits counts."""
 
 
 class _Forward(Loader):
@@ -37,7 +65,7 @@ class _Finder(MetaPathFinder):
             if name == old or name.startswith(f"{old}."):
                 now = new + name.removeprefix(old)
                 warnings.warn(f"{name} is {now}", DeprecationWarning, stacklevel=2)
-                return ModuleSpec(name, _Forward(now), is_package=name == old)
+                return ModuleSpec(name, _Forward(now), is_package=True)
         return None
 
 

@@ -30,6 +30,7 @@ from dotsim_ros import (
     make_gel_batch,
 )
 from dotsim_ros.io import progress
+from dotsim_ros.io.moved import MOVED
 from dotsim_ros.optics.picture import BACKGROUND, CHANGE_GAIN, TITLE_HEIGHT_PX
 from dotsim_ros.specification import GelSpecification, SolverSpecification
 
@@ -309,3 +310,31 @@ def test_a_batch_needs_the_implicit_method(coarse: SensorSpecification) -> None:
     explicit = replace(coarse, solver=replace(coarse.solver, method="explicit"))
     with pytest.raises(ValueError, match="'explicit', expected 'implicit' for a batch"):
         make_gel_batch(explicit, indenter=load_indenter("sphere_4mm"), environment_count=2)
+
+
+@pytest.fixture
+def fresh_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget what was imported by an old name: a name is warned of once."""
+    for name in list(sys.modules):
+        if name.startswith(tuple(MOVED)):
+            monkeypatch.delitem(sys.modules, name)
+
+
+@pytest.mark.usefixtures("fresh_names")
+@pytest.mark.parametrize(("old", "new"), MOVED.items())
+def test_an_old_name_leads_to_the_same_module(old: str, new: str) -> None:
+    with pytest.warns(DeprecationWarning, match=f"{old} is {new}"):
+        assert importlib.import_module(old) is importlib.import_module(new)
+    assert importlib.import_module(new).__spec__.name == new
+
+
+@pytest.mark.usefixtures("fresh_names")
+def test_what_lies_below_an_old_folder_is_found() -> None:
+    with pytest.warns(DeprecationWarning, match=r"is dotsim_ros\.data\.importers\.force_depth"):
+        table = importlib.import_module("dotsim_ros.measured.importers.force_depth")
+    assert table.read_force_table.__module__ == "dotsim_ros.data.importers.force_depth"
+    with (
+        pytest.warns(DeprecationWarning, match=r"is dotsim_ros\.data\.nothing"),
+        pytest.raises(ModuleNotFoundError, match=r"dotsim_ros\.data\.nothing"),
+    ):
+        importlib.import_module("dotsim_ros.measured.nothing")
