@@ -27,7 +27,7 @@ from dotsim_ros.data.reading import (
     summarize_reasons,
 )
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
-from dotsim_ros.gel.make import skin_of
+from dotsim_ros.gel.make import body_of, skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
@@ -53,12 +53,13 @@ from dotsim_ros.io.replacement import finish_replacement, replace_files
 from dotsim_ros.io.worker_pool.pool import Crew, check_workers
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.noise import with_noise
+from dotsim_ros.optics.picture import change_image
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification, given_sensor
 from dotsim_ros.twin.footage import SkinFollower, camera_for, twin_renderers
 from dotsim_ros.twin.image_metrics import image_psnr_db
-from dotsim_ros.twin.press_metrics import JUDGED_DEPTH_M, judged_frames
-from dotsim_ros.twin.simulator import SAME_FACE_M
+from dotsim_ros.twin.press_metrics import JUDGED_DEPTH_M, judged_frames, root_mean_square
+from dotsim_ros.twin.simulator import raised_m
 from dotsim_ros.twin.surface_metrics import relative_rms, surface_distance, weighted_rms
 
 ERRORS = "errors.json"
@@ -261,9 +262,8 @@ class _TwinCamera:
         self._from_depth_m, self._seed = from_depth_m, seed
         self._skin = skin_of(sensor.gel)
         # The file of a pad that was found thinner has its face lower than its data, and its camera.
-        tops_m = [mesh.rest_position_m[:, 2].max() for mesh in (measured, self._skin)]
-        raised_m = tops_m[0] - tops_m[1] if sensor.gel.shape != "dome" else 0.0
-        self._raised_m = np.array([0.0, 0.0, raised_m if abs(raised_m) > SAME_FACE_M else 0.0])
+        body, thickness_m = body_of(sensor.gel), values_of(sensor).thickness_m
+        self._raised_m = raised_m(body, measured, thickness_m)
         self._follow = SkinFollower(sensor, self._skin, cache_directory() / "skins", lambda _: None)
         self._renderers: dict[tuple[int, ...], tuple[SkinRenderer, ImageRenderer]] = {}
 
@@ -314,7 +314,8 @@ def figures_of(frames: Sequence[FrameError]) -> dict[str, Any]:
     found |= dict.fromkeys(CHANNELS)
     if skin := [f.skin_m for f in frames if f.skin_m is not None]:
         found["skin"] = {
-            "rms_mm": 1e3 * _rms([f.skin_rms_m for f in frames if f.skin_rms_m is not None]),
+            "rms_mm": 1e3
+            * root_mean_square([f.skin_rms_m for f in frames if f.skin_rms_m is not None]),
             "p95_mm": 1e3 * float(np.percentile(np.stack(skin), 95.0)),
             "largest_mm": 1e3 * float(np.max(skin)),
             "frames": len(skin),
@@ -324,9 +325,9 @@ def figures_of(frames: Sequence[FrameError]) -> dict[str, Any]:
         error = np.stack([f.force_error_n for f in frames if f.force_error_n is not None])
         found["force"] = {
             "normal_share": relative_rms(error[:, 2], recorded[:, 2]),
-            "normal_n": _rms(error[:, 2]),
+            "normal_n": root_mean_square(error[:, 2]),
             "tangential_share": relative_rms(error[:, :2], recorded[:, :2]),
-            "tangential_n": _rms(np.linalg.norm(error[:, :2], axis=1)),
+            "tangential_n": root_mean_square(np.linalg.norm(error[:, :2], axis=1)),
             "frames": len(force),
         }
     if image := [f for f in frames if np.isfinite(f.psnr_db)]:
@@ -336,10 +337,6 @@ def figures_of(frames: Sequence[FrameError]) -> dict[str, Any]:
             "frames": len(image),
         }
     return found
-
-
-def _rms(values: Sequence[float] | FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def errors_of(evaluation: Evaluation) -> dict[str, Any]:
@@ -436,8 +433,7 @@ def write_evaluation(directory: Path, page: Page, errors: dict[str, Any]) -> Non
 
 def _worst_image(worst: SeenFrame) -> Section:
     error, recorded, simulated = worst
-    change = 127.5 + MAGNIFIED * (simulated.astype(np.float64) - recorded)
-    difference = np.clip(change, 0.0, 255.0).astype(np.uint8)
+    difference = change_image(simulated, recorded, MAGNIFIED)
     of = f"{error.press}, frame {error.frame}: {error.psnr_db:.1f} dB"
     pictures = []
     for name, pixels in zip(

@@ -21,14 +21,15 @@ FARTHEST_SHOWN_PERCENT = 99.0
 end is the nearest pixel, so that no press is cut off."""
 
 
-def change_image(image: ImageArray, before: ImageArray) -> ImageArray:
-    """Return the difference of two images, times `CHANGE_GAIN`; grey where nothing changes.
+def change_image(image: ImageArray, before: ImageArray, gain: float = CHANGE_GAIN) -> ImageArray:
+    """Return the difference of two images, times a gain; grey where nothing changes.
 
     Args:
         image, before: (H, W, 3) uint8.
+        gain: grey levels for one of the difference.
     """
     difference = image.astype(np.float32) - before
-    return np.clip(127.5 + CHANGE_GAIN * difference, 0.0, 255.0).astype(np.uint8)
+    return np.clip(127.5 + gain * difference, 0.0, 255.0).astype(np.uint8)
 
 
 def frame_picture(image: ImageArray, idle_image: ImageArray, range_m: Float32Array) -> ImageArray:

@@ -293,10 +293,13 @@ def measurement_noise(presses: Iterable[Press], skin: SkinMesh) -> MeasuredNoise
         force_n.append(press.force_n[0])
     if not skin_m:
         return None
-    return MeasuredNoise(_rms(skin_m), _rms(vertex_m), _rms(force_n), len(skin_m))
+    return MeasuredNoise(
+        root_mean_square(skin_m), root_mean_square(vertex_m), root_mean_square(force_n), len(skin_m)
+    )
 
 
-def _rms(values: Sequence[float] | Sequence[FloatArray]) -> float:
+def root_mean_square(values: Sequence[float] | Sequence[FloatArray] | FloatArray) -> float:
+    """Return the root mean square of all numbers."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -319,9 +322,9 @@ def summarize(scores: Sequence[PressFrameScore]) -> Summary:
         significant_chamfer_mm=1e3 * means["significant_chamfer_m"],
         emd_mm=1e3 * means["earth_mover_m"],
         f_score=means["f_score"],
-        skin_rms_mm=1e3 * _rms([score.skin_m for score in scores]),
-        contact_rms_mm=1e3 * _rms(contact) if contact else None,
-        vertex_rms_mm=1e3 * _rms([score.vertex_m for score in scores]),
+        skin_rms_mm=1e3 * root_mean_square([score.skin_m for score in scores]),
+        contact_rms_mm=1e3 * root_mean_square(contact) if contact else None,
+        vertex_rms_mm=1e3 * root_mean_square([score.vertex_m for score in scores]),
         normal_force_error=forces.normal,
         tangential_force_error=forces.tangential,
         shear_force_error=forces.shear,

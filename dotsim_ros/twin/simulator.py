@@ -93,6 +93,20 @@ def _face_height_m(body: Body, skin: SkinMesh) -> float:
     return own if abs(seen - own) < SAME_FACE_M else seen
 
 
+def raised_m(body: Body, skin: SkinMesh, thickness_m: float) -> FloatArray:
+    """Return how far (3,) the base of a gel lies above 0, with its face where the skin's is; zeros
+    for a body that is not a pad.
+
+    Args:
+        body: as the sensor's file has it.
+        skin: as the data have it.
+        thickness_m: of the gel, which may be another than the body's.
+    """
+    if not isinstance(body, Pad):
+        return np.zeros(3)
+    return np.array([0.0, 0.0, _face_height_m(body, skin) - thickness_m])
+
+
 def tables_of(poisson_ratio: float) -> tuple[tuple[int, float], ...]:
     """Return the numbers of the tables of the refinement at a Poisson's ratio, with their shares:
     linear between the two next to it."""
@@ -174,19 +188,13 @@ class GelSimulator:
         """
         gel = self._gel(values, indenter, relaxation)
         moved = list(poses) if offset is None else [offset_pose(pose, offset) for pose in poses]
-        raised_m = self._raised_m(values)
-        if raised_m.any():
-            moved = [Pose(pose.position_m - raised_m, pose.quaternion_xyzw) for pose in moved]
+        base_m = raised_m(self._body, self.skin, values.thickness_m)
+        if base_m.any():
+            moved = [Pose(pose.position_m - base_m, pose.quaternion_xyzw) for pose in moved]
         found = follow(lambda pose, dt_s: gel.step([pose], dt_s)[0], moved, stamp_s)
         scale = values.youngs_modulus_pa / REFERENCE_MODULUS_PA
-        skin_m = found.skin_position_m + raised_m if raised_m.any() else found.skin_position_m
+        skin_m = found.skin_position_m + base_m if base_m.any() else found.skin_position_m
         return replace(found, skin_position_m=skin_m, force_n=scale * found.force_n)
-
-    def _raised_m(self, values: GelValues) -> FloatArray:
-        """Return how far (3,) the base of a gel lies above 0, with its face where the skin's is."""
-        if not isinstance(self._body, Pad):
-            return np.zeros(3)
-        return np.array([0.0, 0.0, self._face_m - values.thickness_m])
 
     def prepare(self, values: GelValues) -> None:
         """Compute the tables that the values need, and keep them on disk."""

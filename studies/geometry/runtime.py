@@ -22,7 +22,12 @@ from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.follow import steps
-from dotsim_ros.twin.press_metrics import contact_region, judged_frames, surface_errors
+from dotsim_ros.twin.press_metrics import (
+    contact_region,
+    judged_frames,
+    root_mean_square,
+    surface_errors,
+)
 from dotsim_ros.twin.surface_metrics import relative_rms
 from studies.data import SENSOR_A
 from studies.geometry.explicit import SETTINGS, ExplicitModel
@@ -227,4 +232,4 @@ class _Errors:
 
 
 def _rms_mm(values_m: Sequence[float]) -> float | None:
-    return 1e3 * float(np.sqrt(np.mean(np.square(values_m)))) if values_m else None
+    return 1e3 * root_mean_square(values_m) if values_m else None
