@@ -195,9 +195,15 @@ def records_in(value: Any) -> Iterator[Mapping[str, str]]:
             yield from records_in(entry)
 
 
+def origin_of(record: Mapping[str, Any]) -> Mapping[str, str]:
+    """Return the part of a record that says where it comes from; older ones have it apart."""
+    found: Mapping[str, str] = record.get("provenance") or record.get("origin") or record
+    return found
+
+
 def made_by(record: Mapping[str, Any], file: str) -> str:
     """Return the line that says where a result comes from."""
-    main = record.get("provenance") or record.get("origin") or record
+    main = origin_of(record)
     lines = []
     if record.get("sealed"):
         lines.append("**Judged once**, on data that nobody had seen; it is not made again.")

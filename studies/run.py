@@ -35,7 +35,7 @@ from cyclopts import App, Parameter
 from dotsim_ros.io.files import write_json
 from dotsim_ros.io.provenance import commit_of, provenance
 from studies.data import DATA
-from studies.results_page import RESULTS, tables_of
+from studies.results_page import RESULTS, origin_of, tables_of
 
 ROOT = Path(__file__).resolve().parents[1]
 FAILED = "failed"
@@ -217,8 +217,7 @@ def is_made(name: str, directory: Path, commit: str) -> bool:
     if not file.is_file():
         return False
     record = json.loads(file.read_text(encoding="utf-8"))
-    source = record.get("provenance") or record.get("origin") or record
-    return record.get("sealed", False) or source.get("commit") == commit
+    return record.get("sealed", False) or origin_of(record).get("commit") == commit
 
 
 def run(name: str, options: Sequence[str] = (), *, json_directory: Path | None = None) -> bool:
@@ -247,9 +246,9 @@ def run(name: str, options: Sequence[str] = (), *, json_directory: Path | None =
         version_flags=(),
         default_parameter=Parameter(consume_multiple=True, negative_iterable=()),
     )
-    app.default(study.load())
+    own = app.default(study.load())
     function, bound, _ = app.parse_args(list(options))
-    if function is not study.load():
+    if function is not own:
         function(*bound.args, **bound.kwargs)
         return True
     if not options and not _ran(study.before):

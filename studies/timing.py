@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
 import numpy as np
 
@@ -35,10 +35,14 @@ def percentiles_ms(
     return dict(zip(names, values, strict=True))
 
 
-@contextmanager
-def competition(is_wanted: bool) -> Iterator[None]:
+def competition(is_wanted: bool) -> AbstractContextManager[None]:
     """Keep each core busy with a process of the usual priority, where wanted."""
-    cores = sorted(os.sched_getaffinity(0)) if is_wanted else []
+    return busy_cores(sorted(os.sched_getaffinity(0)) if is_wanted else [])
+
+
+@contextmanager
+def busy_cores(cores: Sequence[int]) -> Iterator[None]:
+    """Keep cores busy with a process each."""
     busy = [subprocess.Popen([sys.executable, "-c", BUSY, str(core)]) for core in cores]
     try:
         yield

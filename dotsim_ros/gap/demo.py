@@ -26,6 +26,23 @@ TWIN = "sensor_a.yaml"
 """Next to the sets: calibrated with the series' commissioning."""
 
 
+def sealed_text(path: Path, sha256: str, advice: str) -> str:
+    """Return the text of a truth; to be called after the search of its set.
+
+    Args:
+        path: of the file.
+        sha256: of the text, as the index of the sets states it.
+        advice: what to do where the file was changed.
+
+    Raises:
+        ValueError: it was.
+    """
+    text = path.read_text(encoding="utf-8")
+    if hashlib.sha256(text.encode()).hexdigest() != sha256:
+        raise ValueError(f"{path} is not the truth whose SHA-256 the index states; {advice}")
+    return text
+
+
 def run_demo(directory: Path, *, seed: int, workers: Crew) -> int:
     """Run the demonstration, with its report in a folder.
 
@@ -53,10 +70,7 @@ def run_demo(directory: Path, *, seed: int, workers: Crew) -> int:
         progress=PrintedProgress(),
     )
     file = sets / entry["name"] / "truth.json"
-    text = file.read_text(encoding="utf-8")
-    if hashlib.sha256(text.encode()).hexdigest() != sealed:
-        raise ValueError(f"{file} is not the truth that was sealed; install the package again")
-    effects = json.loads(text)["effects"]
+    effects = json.loads(sealed_text(file, sealed, "install the package again"))["effects"]
     hidden = {effect["library"] for effect in effects}
     named = set(findings.named)
     is_right = named <= hidden <= named | set(findings.alternatives)

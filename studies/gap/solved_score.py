@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from dotsim_ros.gap.demo import sealed_text
 from dotsim_ros.gap.find import find_gap
 from dotsim_ros.gap.findings import Findings, as_record, findings_of
 from dotsim_ros.gap.presses.covariance import FILE as SHIPPED
@@ -160,12 +161,7 @@ def opened_truth(sets: Path, record: SetRecord) -> dict[str, Any]:
         ValueError: it is not what was sealed.
     """
     path = sets / record.name / TRUTH
-    text = path.read_text(encoding="utf-8")
-    if hashlib.sha256(text.encode()).hexdigest() != record.truth_sha256:
-        raise ValueError(
-            f"{path} is not the truth whose SHA-256 the index states; make the set again"
-        )
-    return truth_of(text)
+    return truth_of(sealed_text(path, record.truth_sha256, "make the set again"))
 
 
 def _findings(request: ScoreRequest, record: SetRecord) -> tuple[Findings, str]:

@@ -12,9 +12,10 @@ from pathlib import Path
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.learning.recipe import check_epochs
+from dotsim_ros.optics.network.card import TRAINED
 from dotsim_ros.twin.footage import OpticalPress, Rest
 from studies.optics.judge import Factory, Idle, ImageModel, WarpedIdle
-from studies.optics.names import NAMES, NETWORKS, PUBLISHED, WARPED
+from studies.optics.names import NAMES, PUBLISHED, WARPED
 from studies.rivals.optics import per_pixel, tacto, taxim
 from studies.rivals.optics.pixels import idle_ground, warped_ground
 
@@ -87,7 +88,7 @@ def factory_of(
         case "difftactile" | "difftactile_warped":
             _need_torch(name)
             return lambda t, r, c: per_pixel.fit(t, r, c, seed=settings.seed, ground=ground)
-    if name not in NETWORKS:
+    if name not in TRAINED:
         raise ValueError(f"no model {name!r}; known are {', '.join(NAMES)}")
     _need_torch(name)
     return _network(name, settings, state, progress)

@@ -29,8 +29,6 @@ MOBILE = ("paper_mobile", "paper_mobile_warped")
 idle image as published, and to the warped one."""
 PUBLISHED = ("paper", "paper_direct", *MOBILE, "unet")
 """Published networks, which take hours without CUDA unless their images are small."""
-NETWORKS = ("ours", *PUBLISHED)
-"""Kinds of networks of `dotsim_ros.learning`."""
 WARPED = ("tacto_warped", "taxim_warped", "difftactile_warped")
 """Published models that complete the warped image, in place of our network."""
 BOUND = "bound"

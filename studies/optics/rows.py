@@ -26,6 +26,7 @@ from dotsim_ros.io.cache import tell_broken
 from dotsim_ros.io.documents import read_arrays, read_json
 from dotsim_ros.io.files import whole_file, write_json
 from dotsim_ros.io.provenance import provenance, source_hash
+from dotsim_ros.optics.network.card import TRAINED
 from dotsim_ros.twin.footage import OpticalData, OpticalPress
 from studies.optics.judge import (
     ImageFrameScores,
@@ -42,7 +43,6 @@ from studies.optics.models import (
     FitSettings,
     factory_of,
 )
-from studies.optics.names import NETWORKS
 from studies.optics.split import FrameKey, OpticalSplit
 
 _FORMAT = 1
@@ -140,7 +140,7 @@ class RowMaker:
 
     def _path(self, model: str, split: OpticalSplit, shown: Sequence[FrameKey]) -> Path:
         fitted: list[Any] = [source_hash(*MADE_BY)]
-        if model in NETWORKS:
+        if model in TRAINED:
             fitted += [self.settings.epochs_of(model), self.settings.width_of(model)]
         parts = [_FORMAT, self._digest, split.train, split.test, list(shown)]
         key = repr((*parts, model, self.settings.seed, fitted)).encode()

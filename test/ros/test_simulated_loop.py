@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,6 +30,7 @@ from dotsim_ros.nodes.loop.closed_loop import (
 from dotsim_ros.nodes.loop.loop_time import REALTIME, SIMULATED, SteppedTime
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
+from studies.timing import busy_cores
 
 PATH = "line"
 FAULT_S, WATCHED_S = 2.6, 0.4
@@ -43,16 +42,12 @@ COMPOSED_MODULE = "dotsim_ros.nodes.closed_loop.node"
 def busy(cores: list[int]) -> Iterator[None]:
     """Keep cores busy, and this process and its children on the last of them."""
     before = os.sched_getaffinity(0)
-    program = "import os, sys\nos.sched_setaffinity(0, [int(sys.argv[1])])\nwhile True: pass"
-    rivals = [subprocess.Popen([sys.executable, "-c", program, str(core)]) for core in cores]
-    os.sched_setaffinity(0, cores[-1:])
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-        for rival in rivals:
-            rival.kill()
-            rival.wait()
+    with busy_cores(cores):
+        os.sched_setaffinity(0, cores[-1:])
+        try:
+            yield
+        finally:
+            os.sched_setaffinity(0, before)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ let patience = null;
 let picture = null;
 let playing = null;
 const sequence = {skin: null, idle: null};
-// Milliseconds from each drag to the skin drawn, the newest last; benchmarks read it.
+// Milliseconds from each drag to the skin drawn, the newest last; studies read it.
 window.lagsMs = [];
 
 const view = new SceneView(get("scene"), (position, quaternion, since) => {
