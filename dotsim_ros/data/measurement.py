@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,13 +14,16 @@ import numpy as np
 
 from dotsim_ros.data.bag import BagReader
 from dotsim_ros.data.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
-from dotsim_ros.data.reading import BadBagError, read_motion, read_observation, summarize_reasons
-from dotsim_ros.data.recording import Recording, phases_of
-from dotsim_ros.data.session import Span, session_starts, span_of
+from dotsim_ros.data.reading import (
+    read_motion,
+    read_observation,
+    starts_in_session,
+    summarize_reasons,
+)
+from dotsim_ros.data.recording import Recording, recording_of
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
-from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
+from dotsim_ros.geometry.skin_mesh import SkinMesh
 
-CHANNELS = ("pose", "wrench", "skin")
 HELD_OUT_SHARE = 0.4
 """At most this share of the trajectories is kept for the figures after the search."""
 IGNORED = ("truth.json", "truth.yaml")
@@ -85,27 +88,37 @@ def read_measurement(
     """
     data_set = read_data_set(directory)
     folder = data_set.directory
-    warnings = [
+    ignored = [
         f"{name} lies in the data set: it was not read"
         for name in IGNORED
-        if _lies_in(folder, name)
+        if any(folder.rglob(name))
     ]
-    skin = data_set.skin_mesh() if data_set.has_skin_mesh else own_skin
-    digest = hashlib.sha256((folder / INDEX).read_bytes())
-    found: list[Recording | None] = []
-    for entry in data_set.entries:
-        try:
-            recording = _read(data_set, entry, skin, indenters, topics)
-        except (BadBagError, FileNotFoundError, ValueError) as error:
-            warnings.append(f"{entry.name} was left out: {error}")
-            found.append(None)
-            continue
-        found.append(recording)
-        _add(digest, recording)
-    recordings = _in_session(found, data_set, topics)
+    has_vertices = data_set.has_skin_mesh
+    skin = data_set.skin_mesh() if has_vertices else own_skin
+
+    def read(entry: DataSetEntry) -> Recording:
+        found = read_observation(
+            data_set,
+            entry,
+            skin=skin,
+            has_vertices=has_vertices,
+            topics=topics,
+            indenters=indenters,
+        )
+        return recording_of(found.press, found.indenter, skin)
+
+    recordings, left_out = _read_each(data_set, read, topics)
+    warnings = (*ignored, *left_out)
     if not recordings:
         raise ValueError(f"{folder}: no trajectory can be used: {summarize_reasons(warnings)}")
-    return Measurement(folder, skin, tuple(recordings), tuple(warnings), digest.hexdigest()[:16])
+    digest = hashlib.sha256((folder / INDEX).read_bytes())
+    for recording in recordings:
+        press = recording.press
+        for pose in press.poses:
+            digest.update(pose.position_m.tobytes() + pose.quaternion_xyzw.tobytes())
+        for array in (press.stamp_s, press.skin_position_m, press.force_n):
+            digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
+    return Measurement(folder, skin, recordings, warnings, digest.hexdigest()[:16])
 
 
 def read_poses(
@@ -125,73 +138,47 @@ def read_poses(
         ValueError: no trajectory of it has poses.
     """
     data_set = read_data_set(directory)
-    found: list[Recording | None] = []
-    warnings = []
-    for entry in data_set.entries:
-        try:
-            press = read_motion(entry, topics=topics)
-            indenter = find_indenter(data_set, entry.indenter, indenters)
-        except (FileNotFoundError, ValueError) as error:
-            warnings.append(f"{entry.name} was left out: {error}")
-            found.append(None)
-            continue
+
+    def read(entry: DataSetEntry) -> Recording:
+        press = read_motion(entry, topics=topics)
         count = press.frame_count
         planned = replace(
             press,
             skin_position_m=np.repeat(skin.rest_position_m[None], count, axis=0),
             force_n=np.zeros((count, 3)),
         )
-        depth_m = np.asarray(tip_depth_m(skin, press.poses))
-        phase = phases_of(press.poses, press.stamp_s, depth_m)
-        found.append(Recording(planned, indenter, 0.0, depth_m, phase))
-    recordings = _in_session(found, data_set, topics)
+        return recording_of(planned, find_indenter(data_set, entry.indenter, indenters), skin)
+
+    recordings, warnings = _read_each(data_set, read, topics)
     if not recordings:
         raise ValueError(f"{directory}: no trajectory has poses: {summarize_reasons(warnings)}")
-    return tuple(recordings), tuple(warnings)
+    return recordings, warnings
 
 
-def _lies_in(folder: Path, name: str) -> bool:
-    return any(folder.rglob(name))
-
-
-def _read(
-    data_set: DataSet,
-    entry: DataSetEntry,
-    skin: SkinMesh,
-    indenters: str | Path | None,
-    topics: Topics,
-) -> Recording:
-    found = read_observation(
-        data_set,
-        entry,
-        skin=skin,
-        has_vertices=data_set.has_skin_mesh,
-        topics=topics,
-        indenters=indenters,
-    )
-    press, indenter = found.press, found.indenter
-    depth_m = np.asarray(tip_depth_m(skin, press.poses))
-    phase = phases_of(press.poses, press.stamp_s, depth_m)
-    return Recording(press, indenter, 0.0, depth_m, phase)
-
-
-def _in_session(
-    found: Sequence[Recording | None], data_set: DataSet, topics: Topics
-) -> list[Recording]:
-    """Return the recordings with the time of each in the session, to which trajectories that are
-    left out belong, too."""
-    spans: list[Span | None] = []
-    for entry, recording in zip(data_set.entries, found, strict=True):
-        if recording is None:
-            spans.append(span_of(entry, topics))
-        else:
-            stamp_s = recording.press.stamp_s
-            spans.append((float(stamp_s[0]), float(stamp_s[-1])))
-    return [
-        replace(recording, session_s=start_s)
-        for recording, start_s in zip(found, session_starts(spans), strict=True)
-        if recording is not None
+def _read_each(
+    data_set: DataSet, read: Callable[[DataSetEntry], Recording], topics: Topics
+) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
+    """Return the recordings that can be read, with the time of each in the session, to which the
+    others belong, too; and why those were left out."""
+    found: list[Recording | None] = []
+    left_out = []
+    for entry in data_set.entries:
+        try:
+            found.append(read(entry))
+        except (FileNotFoundError, ValueError) as error:
+            left_out.append(f"{entry.name} was left out: {error}")
+            found.append(None)
+    spans = [
+        None if one is None else (float(one.press.stamp_s[0]), float(one.press.stamp_s[-1]))
+        for one in found
     ]
+    starts_s = starts_in_session(data_set, spans, topics)
+    recordings = tuple(
+        replace(one, session_s=start_s)
+        for one, start_s in zip(found, starts_s, strict=True)
+        if one is not None
+    )
+    return recordings, tuple(left_out)
 
 
 def protocol_of(recording: Recording) -> str:
@@ -215,11 +202,3 @@ def one_of_each(protocols: Sequence[str], random: np.random.Generator) -> list[i
     repeated = sorted((m for m in groups.values() if len(m) > 1), key=len, reverse=True)
     most = int(HELD_OUT_SHARE * len(protocols) + 0.5)
     return sorted(int(random.choice(members)) for members in repeated[:most])
-
-
-def _add(digest: hashlib._Hash, recording: Recording) -> None:
-    press = recording.press
-    for pose in press.poses:
-        digest.update(pose.position_m.tobytes() + pose.quaternion_xyzw.tobytes())
-    for array in (press.stamp_s, press.skin_position_m, press.force_n):
-        digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())

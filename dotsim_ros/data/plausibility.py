@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from dotsim_ros.data.presses import Press
+from dotsim_ros.data.trajectory import Topics
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.io.arrays import FloatArray
@@ -39,10 +40,6 @@ FOLLOWING = 0.1
 """Correlation that a force at least has with the depth; presses, holds and slides have 0.9."""
 TOLD_APART = 2.0
 """By what factor the stiffness that one frame shows may leave the range of gels."""
-
-
-class ImplausiblePressError(ValueError):
-    """A press that cannot be what it says; the text says what to do."""
 
 
 LIKE_M = 4.0e-3
@@ -72,7 +69,9 @@ def check_same_shape(skin: SkinMesh, own: SkinMesh, *, data: str, sensor: str) -
         )
 
 
-def check_press(press: Press, indenter: Indenter, skin: SkinMesh, *, has_vertices: bool) -> None:
+def check_press(
+    press: Press, indenter: Indenter, skin: SkinMesh, *, has_vertices: bool, topics: Topics
+) -> None:
     """Refuse a press whose channels do not belong together.
 
     Args:
@@ -80,20 +79,21 @@ def check_press(press: Press, indenter: Indenter, skin: SkinMesh, *, has_vertice
         indenter: what pressed.
         skin: at rest; of the data set, or of the sensor where that has none.
         has_vertices: whether the measured skin lists its vertices.
+        topics: of its channels, for the message.
 
     Raises:
-        ImplausiblePressError: force or skin are no answer to the poses.
+        ValueError: force or skin are no answer to the poses.
     """
     depth_m = np.asarray(tip_depth_m(skin, press.poses))
     if press.skin_position_m is not None:
         if has_vertices:
-            _check_order(press, skin, depth_m)
-        _check_motion(press.skin_position_m, depth_m)
+            _check_order(press, skin, depth_m, topics.skin)
+        _check_motion(press.skin_position_m, depth_m, topics.skin)
     if press.force_n is not None:
-        _check_force(press, press.force_n, indenter, skin, depth_m)
+        _check_force(press, press.force_n, indenter, skin, depth_m, topics.wrench)
 
 
-def _check_order(press: Press, skin: SkinMesh, depth_m: FloatArray) -> None:
+def _check_order(press: Press, skin: SkinMesh, depth_m: FloatArray, topic: str) -> None:
     """Refuse points that are not where their vertices can be."""
     assert press.skin_position_m is not None
     moved_m = np.linalg.norm(press.skin_position_m - skin.rest_position_m, axis=2)
@@ -105,48 +105,53 @@ def _check_order(press: Press, skin: SkinMesh, depth_m: FloatArray) -> None:
     limit_m = FAR_M + way_m
     for frame, far in enumerate(np.mean(moved_m > limit_m, axis=1).tolist()):
         if far > FAR_SHARE:
-            raise ImplausiblePressError(
-                f"skin, frame {frame}: {100 * far:.0f} % of the points lie more than "
+            raise ValueError(
+                f"{topic}, frame {frame}: {100 * far:.0f} % of the points lie more than "
                 f"{1e3 * limit_m:.1f} mm from the vertices at rest that they are said to be, "
                 "expected the order of skin_mesh.npz in the sensor's base frame; list the points "
                 "in that order, or remove skin_mesh.npz so that they need not correspond"
             )
 
 
-def _check_motion(skin_m: FloatArray, depth_m: FloatArray) -> None:
+def _check_motion(skin_m: FloatArray, depth_m: FloatArray, topic: str) -> None:
     """Refuse a skin that stays where it is while it is pressed."""
     span_m = float(np.ptp(np.maximum(depth_m, 0.0)))
     if span_m < LEAST_SKIN_DEPTH_M:
         return
     moved_m = float(np.linalg.norm(skin_m - skin_m[int(depth_m.argmin())], axis=2).max())
     if moved_m < STILL_SHARE * span_m:
-        raise ImplausiblePressError(
-            f"skin: no point moves more than {1e3 * moved_m:.2f} mm while the tip goes "
+        raise ValueError(
+            f"{topic}: no point moves more than {1e3 * moved_m:.2f} mm while the tip goes "
             f"{1e3 * span_m:.1f} mm deep, expected the skin to follow the indenter; record the "
             "skin of every frame, not that at rest, and check that poses are those of the tip"
         )
 
 
 def _check_force(
-    press: Press, force_n: FloatArray, indenter: Indenter, skin: SkinMesh, depth_m: FloatArray
+    press: Press,
+    force_n: FloatArray,
+    indenter: Indenter,
+    skin: SkinMesh,
+    depth_m: FloatArray,
+    topic: str,
 ) -> None:
     out_of_gel = np.stack([pose.rotation()[:, 2] for pose in press.poses])
     outward_n = np.sum(force_n * out_of_gel, axis=1)
     size_n = np.linalg.norm(force_n, axis=1)
-    _check_free(press, size_n, indenter, skin, depth_m)
+    _check_free(press, size_n, indenter, skin, depth_m, topic)
     deepest = int(depth_m.argmax())
     deepest_m = float(depth_m[deepest])
     if deepest_m < LEAST_DEPTH_M:
         return
-    place = f"wrench: at {1e3 * deepest_m:.1f} mm of depth (frame {deepest})"
+    place = f"{topic}: at {1e3 * deepest_m:.1f} mm of depth (frame {deepest})"
     span_m = float(np.ptp(np.maximum(depth_m, 0.0)))
     if span_m >= LEAST_DEPTH_M and float(np.ptp(force_n, axis=0).max()) == 0.0:
-        raise ImplausiblePressError(
+        raise ValueError(
             f"{place} the force is {size_n[deepest]:.4g} N, the same as in every other frame; "
             "expected it to grow with the depth; record the gauge while it measures"
         )
     if size_n[deepest] == 0.0:
-        raise ImplausiblePressError(
+        raise ValueError(
             f"{place} the force is zero; expected that of the gel on the indenter; record the "
             "gauge while it measures"
         )
@@ -154,14 +159,14 @@ def _check_force(
     if span_m >= LEAST_DEPTH_M:
         follows = float(np.corrcoef(depth_m, outward_n)[0, 1])
     if outward_n[deepest] < 0.0 and (span_m < LEAST_DEPTH_M or follows < -FOLLOWING):
-        raise ImplausiblePressError(
+        raise ValueError(
             f"{place} the force pulls the indenter into the gel, {outward_n[deepest]:.3g} N along "
             "its +z axis; expected the force of the gel on the indenter, which pushes it out: "
             "reverse the sign of the wrench, or turn the indenter's frame so that +z points out of "
             "the gel"
         )
     if not follows >= FOLLOWING:
-        raise ImplausiblePressError(
+        raise ValueError(
             f"{place} the force does not follow the press: its correlation with the depth is "
             f"{follows:.2f}, expected near 1 and {FOLLOWING} at least; stamp pose and force by one "
             "clock, and check that both are of the same press"
@@ -170,7 +175,12 @@ def _check_force(
 
 
 def _check_free(
-    press: Press, size_n: FloatArray, indenter: Indenter, skin: SkinMesh, depth_m: FloatArray
+    press: Press,
+    size_n: FloatArray,
+    indenter: Indenter,
+    skin: SkinMesh,
+    depth_m: FloatArray,
+    topic: str,
 ) -> None:
     """Refuse a force that is there without a contact."""
     limit_n = max(FREE_FORCE_N, FREE_FORCE_SHARE * float(size_n.max()))
@@ -179,8 +189,8 @@ def _check_free(
             indenter.distance_from(skin.rest_position_m, press.poses[frame]).min(initial=np.inf)
         )
         if away_m > FREE_M:
-            raise ImplausiblePressError(
-                f"wrench, frame {frame}: a force of {size_n[frame]:.3g} N where the indenter is "
+            raise ValueError(
+                f"{topic}, frame {frame}: a force of {size_n[frame]:.3g} N where the indenter is "
                 f"{1e3 * away_m:.1f} mm off the skin, expected none; set the gauge to zero in air, "
                 "and stamp pose and force by one clock"
             )
@@ -208,7 +218,7 @@ def _check_stiffness(
     shown_pa = 0.75 * outward_n / (2.0 * radius_m * depth_m)
     if not SOFTEST_PA / (2.0 * TOLD_APART) <= shown_pa <= TOLD_APART * HARDEST_PA:
         hint = "millinewtons" if shown_pa > HARDEST_PA else "kilonewtons"
-        raise ImplausiblePressError(
+        raise ValueError(
             f"{place} the force is {outward_n:.3g} N along the indenter's axis, that of a gel with "
             f"a Young's modulus of some {shown_pa:.1e} Pa; expected newtons and {SOFTEST_PA:.0e} "
             f"to {HARDEST_PA:.0e} Pa; if these are {hint}, convert them; else check the poses"

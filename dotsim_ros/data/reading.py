@@ -3,29 +3,33 @@
 
 """Reads measured presses: the one way from a data set's bags to arrays.
 
-Poses, wrenches and skins are checked message by message before a press is used; images come with
-the poses, and the forces, at their own times.
+`read_bag` opens a bag once, and decodes and checks each of its messages once, in the order of their
+recording; presses and footage are views of what it returns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import msg_adapters
-from dotsim_ros.data.bag import BagReader
+from dotsim_ros.data.bag import BagMessage, BagReader
 from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter
-from dotsim_ros.data.plausibility import ImplausiblePressError, check_press
-from dotsim_ros.data.presses import Press, press_of
+from dotsim_ros.data.plausibility import check_press
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.recording import Span, session_starts
 from dotsim_ros.data.trajectory import (
     MEASURED_TOPICS,
-    MESSAGE_TYPES,
-    PoseChannel,
+    Row,
     Topics,
+    Trajectory,
+    channel_of,
+    check_types,
+    decode_colour,
+    decoded,
     read_trajectory,
 )
 from dotsim_ros.geometry.indenter import Indenter
@@ -35,24 +39,23 @@ from dotsim_ros.io.arrays import FloatArray, ImageArray, IntArray
 
 LARGEST_LENGTH_M = 0.5
 """Nothing on a fingertip sensor is farther from its base."""
-
 LARGEST_FORCE_N = 500.0
-
 CHANNELS = ("pose", "wrench", "skin")
+SAME_DELAY_S = 1e-3
+"""Delays that differ by less are one delay of a whole channel."""
+LARGEST_DELAY_S = 0.5
+"""Of one channel after another by the same clock; cameras and arms are late by tenths at most."""
+MOVED_M = 1.0e-3
+MOST_REASONS = 3
 
 
 class BadBagError(ValueError):
-    """A bag that cannot be fitted to; the text names bag, message and likely mend."""
+    """A bag that cannot be used; the text names bag, message and likely mend."""
 
 
 @dataclass(frozen=True)
 class Observation:
-    """A press to fit to.
-
-    Attributes:
-        press: what was measured.
-        indenter: what pressed.
-    """
+    """A press to fit to, as measured, and what pressed."""
 
     press: Press
     indenter: Indenter
@@ -60,15 +63,261 @@ class Observation:
 
 @dataclass(frozen=True)
 class Omission:
-    """A trajectory that was left out.
-
-    Attributes:
-        name: of the trajectory.
-        reason: why, with the likely mend.
-    """
+    """The name of a trajectory that was left out, and why, with the likely mend."""
 
     name: str
     reason: str
+
+
+@dataclass(frozen=True)
+class PressImages:
+    """Images of a press.
+
+    Attributes:
+        press: the motion at the images' times, with the force where it was measured, no skin.
+        pixels: (F, H, W, 3) uint8.
+        span_s: first and last pose of the bag.
+        delay_s: from the first pose of the bag to the first image.
+    """
+
+    press: Press
+    pixels: ImageArray
+    span_s: Span
+    delay_s: float
+
+
+@dataclass(frozen=True)
+class MeasuredBag:
+    """What a bag of a data set holds, each message decoded and checked; by `read_bag`.
+
+    Attributes:
+        entry: of the data set.
+        topics: where the channels lie.
+        trajectory: its poses, and forces and skin where they were asked for and measured.
+        images: messages, decoded when they are used, by their stamps; none where not asked for.
+    """
+
+    entry: DataSetEntry
+    topics: Topics
+    trajectory: Trajectory
+    images: dict[int, BagMessage]
+
+    def press(self) -> Press:
+        """Return poses, forces and skin.
+
+        Raises:
+            BadBagError: their stamps differ.
+        """
+        try:
+            return press_of(self.trajectory, name=self.entry.name, indenter=self.entry.indenter)
+        except ValueError as error:
+            raise BadBagError(str(error)) from error
+
+    def footage(self, *, idle: ImageArray | None = None, most: int | None = None) -> PressImages:
+        """Return the images, with poses and forces interpolated to their times.
+
+        Args:
+            idle: (H, W, 3) without contact, by the same camera; None where none is known.
+            most: frames to keep at most, evenly spread; None for all.
+
+        Raises:
+            BadBagError: no image, one that is malformed or of another size, none within the poses'
+                time, or channels by different clocks.
+        """
+        entry, topics = self.entry, self.topics
+        pose, wrench = self.trajectory.pose, self.trajectory.wrench
+        assert pose is not None
+        if not self.images:
+            raise BadBagError(
+                f"{entry.name} holds no image on {topics.image}; record the camera's images, or "
+                "name their topic"
+            )
+        image_ns = np.array(sorted(self.images), dtype=np.int64)
+        within = (image_ns >= pose.stamp_ns[0]) & (image_ns <= pose.stamp_ns[-1])
+        if not within.any():
+            raise BadBagError(
+                f"{entry.name}: no image was taken while poses were recorded; record both at once, "
+                "stamped by one clock"
+            )
+        _check_clocks(entry, image_ns, pose.stamp_ns, topics.image, topics.pose)
+        if wrench is not None:
+            _check_clocks(entry, wrench.stamp_ns, pose.stamp_ns, topics.wrench, topics.pose)
+        stamp_ns = image_ns[within]
+        if most is not None and len(stamp_ns) > most:
+            places = np.linspace(0, len(stamp_ns) - 1, most).round().astype(int)
+            stamp_ns = stamp_ns[np.unique(places)]
+        pixels = self._pixels(stamp_ns.tolist(), None if idle is None else idle.shape)
+        way_m = float(np.ptp(pose.position_m, axis=0).max())
+        # Noise alone makes any two images of a live camera differ.
+        if len(pixels) > 1 and way_m >= MOVED_M and bool((pixels == pixels[0]).all()):
+            raise BadBagError(
+                f"{entry.name}, {topics.image}: all {len(pixels)} images are the same to the bit "
+                f"while the indenter moves {1e3 * way_m:.1f} mm, expected a live camera; record "
+                "its images again or leave the trajectory out"
+            )
+        stamp_s = _seconds(stamp_ns)
+        force_n = None
+        if wrench is not None:
+            axes = wrench.force_n.T
+            times_s = _seconds(wrench.stamp_ns)
+            force_n = np.stack([np.interp(stamp_s, times_s, axis) for axis in axes], axis=1)
+        poses = _poses_at(stamp_ns, pose.stamp_ns, pose.poses())
+        press = Press(entry.name, entry.indenter, poses, stamp_s, force_n=force_n)
+        delay_s = 1e-9 * float(stamp_ns[0] - pose.stamp_ns[0])
+        return PressImages(press, pixels, _span(pose.stamp_ns), delay_s)
+
+    def _pixels(self, stamps_ns: Sequence[int], size: tuple[int, ...] | None) -> ImageArray:
+        """Return the images (F, H, W, 3) of some stamps, all of one size."""
+        found = []
+        for stamp_ns in stamps_ns:
+            place = f"{self.entry.name}, {self.topics.image}, image of {1e-9 * stamp_ns:.3f} s"
+            try:
+                found.append(decode_colour(self.images[stamp_ns].message()))
+            except ValueError as error:
+                raise BadBagError(f"{place}: {error}") from error
+            expected = found[0].shape if size is None else size
+            if found[-1].shape != expected:
+                width, height = found[-1].shape[1::-1]
+                raise BadBagError(
+                    f"{place}: it is {width}x{height}, but "
+                    f"{'the first' if size is None else 'the idle images'} {expected[1]}x"
+                    f"{expected[0]}; take all with one camera and setting"
+                )
+        return np.stack(found)
+
+
+def read_bag(
+    entry: DataSetEntry,
+    *,
+    topics: Topics = MEASURED_TOPICS,
+    channels: Sequence[str] = CHANNELS,
+    vertex_count: int | None = None,
+) -> MeasuredBag:
+    """Read a bag of a data set: open it, and decode and check each message, once.
+
+    Args:
+        entry: the trajectory.
+        topics: where the channels lie.
+        channels: which to read, "pose" among them, and of "wrench", "skin" and "image".
+        vertex_count: of the data set's skin; None where clouds may differ.
+
+    Raises:
+        BadBagError: no bag that can be read, a topic of the wrong type, no poses, another frame
+            than the sensor's base, stamps out of order, a number that is not finite, lengths in
+            millimetres, another number of skin points.
+    """
+    topic_of = {name: str(getattr(topics, name)) for name in channels}
+    name_of = {topic: name for name, topic in topic_of.items()}
+    rows: dict[str, list[Row]] = {}
+    images: dict[int, BagMessage] = {}
+    try:
+        with BagReader(entry.bag) as bag:
+            there = bag.topics()
+            check_types(there, topic_of, entry.name)
+            if topics.pose not in there:
+                raise BadBagError(
+                    f"{entry.name}: no message on {topics.pose}; the bag holds "
+                    f"{', '.join(there) or 'nothing'}; record the indenter's poses "
+                    "(geometry_msgs/PoseStamped), or name their topic"
+                )
+            for message in bag.messages(*name_of):
+                name = name_of[message.topic]
+                if name == "image":
+                    _add_image(images, message, entry.name)
+                    continue
+                found = rows.setdefault(name, [])
+                place = f"{entry.name}, {message.topic}, message {len(found)}"
+                found.append(decoded(message, name, place))
+                _check_row(name, found, place, entry.base_frame, vertex_count)
+        made = {name: channel_of(name, each) for name, each in rows.items()}
+    except BadBagError:
+        raise
+    except (FileNotFoundError, ValueError) as error:
+        named = "" if str(error).startswith(entry.name) else f"{entry.name}: "
+        raise BadBagError(f"{named}{error}") from error
+    return MeasuredBag(entry, topics, Trajectory(**made, name=entry.name), images)
+
+
+def _add_image(images: dict[int, BagMessage], message: BagMessage, name: str) -> None:
+    place = f"{name}, {message.topic}, message {len(images)}"
+    try:
+        stamp_ns = msg_adapters.serialized_stamp_ns(message.serialized)
+    except ValueError as error:
+        raise BadBagError(f"{place}: {error}") from error
+    if stamp_ns in images:
+        raise BadBagError(
+            f"{place}: a second image of the stamp {stamp_ns} ns; record each message once"
+        )
+    images[stamp_ns] = message
+
+
+def _check_row(
+    name: str, rows: Sequence[Row], place: str, base_frame: str, vertex_count: int | None
+) -> None:
+    """Check the last of the messages of a channel.
+
+    Raises:
+        BadBagError: another frame than the base, a stamp out of order, or a number out of range.
+    """
+    row, value = rows[-1], rows[-1].values[0]
+    if row.frame_id.removeprefix("/") != base_frame.removeprefix("/"):
+        raise BadBagError(
+            f"{place}: frame_id is {row.frame_id!r}, expected {base_frame!r}, the sensor's base "
+            "frame; transform poses, forces and skin into it, or where it only has another name, "
+            f"add the line 'base_frame: {row.frame_id or repr('')}' to dataset.yaml"
+        )
+    if not np.isfinite(value).all():
+        raise BadBagError(
+            f"{place}: the {name} holds a number that is not finite; drop such frames while "
+            "recording"
+        )
+    largest = float(np.abs(value).max(initial=0.0))
+    if name == "wrench" and largest > LARGEST_FORCE_N:
+        raise BadBagError(
+            f"{place}: the force is {largest:.4g} N, expected newtons and at most "
+            f"{LARGEST_FORCE_N} N; if these are millinewtons or raw counts, convert them"
+        )
+    if name != "wrench" and largest > LARGEST_LENGTH_M:
+        raise BadBagError(
+            f"{place}: the {name} reaches {largest:.4g} m from the base, expected metres and at "
+            f"most {LARGEST_LENGTH_M} m; if these are millimetres, multiply by 0.001"
+        )
+    if name == "skin" and vertex_count is not None and len(value) != vertex_count:
+        raise BadBagError(
+            f"{place}: the skin has {len(value)} points, the data set's mesh {vertex_count}; "
+            "record the vertices of skin_mesh.npz, or remove that file so that points need not "
+            "correspond"
+        )
+    if len(rows) > 1 and row.stamp_ns <= rows[-2].stamp_ns:
+        raise BadBagError(
+            f"{place}: stamp {row.stamp_ns} ns does not come after {rows[-2].stamp_ns} ns of the "
+            "message before; record with one clock, and each message once"
+        )
+
+
+def press_of(trajectory: Trajectory, *, name: str, indenter: str) -> Press:
+    """Return the poses of a trajectory as a press, with skin and force where it has them.
+
+    Raises:
+        ValueError: it has no poses, or skin and wrench are stamped otherwise; or as `Press`.
+    """
+    pose, skin, wrench = trajectory.pose, trajectory.skin, trajectory.wrench
+    if pose is None:
+        raise ValueError(
+            f"{name}: no pose of the indenter; record it as geometry_msgs/PoseStamped, or name its "
+            "topic"
+        )
+    for what, channel in (("skin", skin), ("wrench", wrench)):
+        if channel is not None and not np.array_equal(channel.stamp_ns, pose.stamp_ns):
+            raise ValueError(f"{name}: {_stamps_differ(what, channel.stamp_ns, pose.stamp_ns)}")
+    return Press(
+        name=name,
+        indenter=indenter,
+        poses=pose.poses(),
+        stamp_s=_seconds(pose.stamp_ns),
+        skin_position_m=None if skin is None else skin.position_m.astype(np.float64),
+        force_n=None if wrench is None else wrench.force_n,
+    )
 
 
 def read_observation(
@@ -79,56 +328,40 @@ def read_observation(
     has_vertices: bool,
     topics: Topics = MEASURED_TOPICS,
     indenters: str | Path | None = None,
-    indenter_of: Callable[[str], Indenter] | None = None,
 ) -> Observation:
     """Read a press and its indenter.
 
     Args:
-        data_set: that holds it.
+        data_set: where the indenter is looked for.
         entry: the trajectory.
         skin: at rest; the data set's, or the sensor's own where it has none.
         has_vertices: whether the clouds list the skin's vertices; where not, they may differ.
         topics: where the channels lie.
         indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
-        indenter_of: finds an indenter by its name instead.
 
     Raises:
         BadBagError: the bag, or its indenter, cannot be used.
     """
+    vertex_count = skin.vertex_count if has_vertices else None
+    press = read_bag(entry, topics=topics, vertex_count=vertex_count).press()
     try:
-        vertex_count = skin.vertex_count if has_vertices else None
-        check_bag(entry, vertex_count=vertex_count, topics=topics)
-        trajectory = read_trajectory(entry.bag, topics=topics, channels=CHANNELS)
-        press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
-        if indenter_of is None:
-            indenter = find_indenter(data_set, entry.indenter, indenters)
-        else:
-            indenter = indenter_of(entry.indenter)
-    except BadBagError:
-        raise
+        indenter = find_indenter(data_set, entry.indenter, indenters)
     except FileNotFoundError as error:
         raise BadBagError(
             f"{entry.name}: {error}; add the file, or correct the name in dataset.yaml"
         ) from error
     except ValueError as error:
-        text = str(error).removeprefix(f"{entry.name}: ")
-        raise BadBagError(f"{entry.name}: {text}") from error
+        raise BadBagError(f"{entry.name}: {error}") from error
     if press.skin_position_m is None and press.force_n is None:
         raise BadBagError(
             f"{entry.name}: neither {topics.skin} nor {topics.wrench} in the bag; record one of "
             "them, or name its topic"
         )
     try:
-        check_press(press, indenter, skin, has_vertices=has_vertices)
-    except ImplausiblePressError as error:
-        raise BadBagError(f"{entry.name}, {_topics_named(str(error), topics)}") from error
+        check_press(press, indenter, skin, has_vertices=has_vertices, topics=topics)
+    except ValueError as error:
+        raise BadBagError(f"{entry.name}, {error}") from error
     return Observation(press, indenter)
-
-
-def _topics_named(text: str, topics: Topics) -> str:
-    """Return what is wrong with a channel with its topic in the channel's place."""
-    channel = next(name for name in CHANNELS if text.startswith(name))
-    return str(getattr(topics, channel)) + text.removeprefix(channel)
 
 
 def read_observations(
@@ -141,59 +374,30 @@ def read_observations(
     indenters: str | Path | None = None,
 ) -> tuple[list[Observation], list[Omission]]:
     """Return what can be used of the named trajectories, and why the others cannot."""
-    entries = {entry.name: entry for entry in data_set.entries}
     found, omitted = [], []
-    for name in names:
+    for entry in data_set.named(names) if names else ():
         try:
-            found.append(
-                read_observation(
-                    data_set,
-                    entries[name],
-                    skin=skin,
-                    has_vertices=has_vertices,
-                    topics=topics,
-                    indenters=indenters,
-                )
+            one = read_observation(
+                data_set,
+                entry,
+                skin=skin,
+                has_vertices=has_vertices,
+                topics=topics,
+                indenters=indenters,
             )
+            found.append(one)
         except BadBagError as error:
-            omitted.append(Omission(name, str(error)))
+            omitted.append(Omission(entry.name, str(error)))
     return found, omitted
-
-
-MOST_REASONS = 3
-
-
-def summarize_reasons(reasons: Sequence[str]) -> str:
-    """Return the first reasons on one line, and how many more there are."""
-    more = len(reasons) - MOST_REASONS
-    return "; ".join(reasons[:MOST_REASONS]) + (f"; and {more} more" if more > 0 else "")
 
 
 def read_motion(entry: DataSetEntry, *, topics: Topics = MEASURED_TOPICS) -> Press:
     """Read the poses of a press alone, measured or only planned.
 
     Raises:
-        FileNotFoundError: no bag there.
-        ValueError: no poses, or poses that make no press.
+        BadBagError: as `read_bag`.
     """
-    check_bag(entry, vertex_count=None, topics=topics, channels=("pose",))
-    trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose",))
-    return press_of(trajectory, name=entry.name, indenter=entry.indenter)
-
-
-@dataclass(frozen=True)
-class PressImages:
-    """Images of a press.
-
-    Attributes:
-        press: the motion at the images' times, with the force where it was measured, no skin.
-        pixels: (F, H, W, 3) uint8.
-        delay_s: from the first pose of the bag to the first image.
-    """
-
-    press: Press
-    pixels: ImageArray
-    delay_s: float
+    return read_bag(entry, topics=topics, channels=("pose",)).press()
 
 
 def read_press_images(
@@ -203,80 +407,65 @@ def read_press_images(
     topics: Topics = MEASURED_TOPICS,
     most: int | None = None,
 ) -> PressImages:
-    """Read the images of a press, and the motion at their times.
-
-    The force is interpolated to the same times where it was measured; the skin is not read.
-
-    Args:
-        entry: the trajectory.
-        idle: (H, W, 3) without contact, by the same camera; None where none is known.
-        topics: where the channels lie.
-        most: frames to keep at most, evenly spread; None for all.
+    """Read the images of a press, with poses and forces at their times; see `MeasuredBag.footage`.
 
     Raises:
-        FileNotFoundError: no bag there.
-        ValueError: no image or pose, images of another size, none within the poses' time, or
-            channels by different clocks.
+        BadBagError: as `read_bag` and `MeasuredBag.footage`.
     """
-    trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose", "wrench", "image"))
-    pose, image, wrench = trajectory.pose, trajectory.image, trajectory.wrench
-    if image is None:
-        raise ValueError(
-            f"{entry.bag} holds no image on {topics.image}; record the camera's images, or name "
-            "their topic"
-        )
-    if pose is None:
-        raise ValueError(
-            f"{entry.bag} holds no pose on {topics.pose}; record the indenter's pose, or name its "
-            "topic"
-        )
-    check_bag(entry, vertex_count=None, topics=topics, channels=("pose", "wrench"))
-    if idle is not None and image.pixels.shape[1:] != idle.shape:
-        raise ValueError(
-            f"{entry.bag}: images are {image.pixels.shape[2]}x{image.pixels.shape[1]}, but the "
-            f"idle images {idle.shape[1]}x{idle.shape[0]}; take both with one camera and setting"
-        )
-    within = (image.stamp_ns >= pose.stamp_ns[0]) & (image.stamp_ns <= pose.stamp_ns[-1])
-    frames = np.flatnonzero(within)
-    if not len(frames):
-        raise ValueError(
-            f"{entry.bag}: no image was taken while poses were recorded; record both at once, "
-            "stamped by one clock"
-        )
-    _check_clocks(entry, image.stamp_ns, pose.stamp_ns, topics.image, topics.pose)
-    if wrench is not None:
-        _check_clocks(entry, wrench.stamp_ns, pose.stamp_ns, topics.wrench, topics.pose)
-    _check_seen(entry, image.pixels[frames], pose, topics.image)
-    if most is not None and len(frames) > most:
-        frames = frames[np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int))]
-    stamp_ns = image.stamp_ns[frames]
-    stamp_s = 1e-9 * stamp_ns.astype(np.float64)
-    force = None
-    if wrench is not None:
-        times_s = 1e-9 * wrench.stamp_ns.astype(np.float64)
-        force = np.stack([np.interp(stamp_s, times_s, axis) for axis in wrench.force_n.T], axis=1)
-    poses = _poses_at(stamp_ns, pose.stamp_ns, pose.poses())
-    press = Press(entry.name, entry.indenter, poses, stamp_s, force_n=force)
-    delay_s = 1e-9 * float(stamp_ns[0] - pose.stamp_ns[0])
-    return PressImages(press, image.pixels[frames], delay_s)
+    channels = ("pose", "wrench", "image")
+    return read_bag(entry, topics=topics, channels=channels).footage(idle=idle, most=most)
 
 
-MOVED_M = 1.0e-3
+def starts_in_session(
+    data_set: DataSet, spans_s: Sequence[Span | None], topics: Topics = MEASURED_TOPICS
+) -> list[float]:
+    """Return when each trajectory of a data set began, s after the first.
+
+    Args:
+        data_set: whose trajectories.
+        spans_s: of their poses; None for one that was not read, whose poses are then read alone.
+        topics: where the poses lie.
+    """
+    known: list[Span | None] = []
+    for entry, span_s in zip(data_set.entries, spans_s, strict=True):
+        if span_s is None:
+            try:
+                pose = read_trajectory(entry.bag, topics=topics, channels=("pose",)).pose
+                span_s = None if pose is None else _span(pose.stamp_ns)
+            except (FileNotFoundError, ValueError):
+                pass
+        known.append(span_s)
+    return session_starts(known)
 
 
-def _check_seen(entry: DataSetEntry, pixels: ImageArray, pose: PoseChannel, topic: str) -> None:
-    """Refuse images of a camera that stands still: noise alone makes any two differ."""
-    way_m = float(np.ptp(pose.position_m, axis=0).max())
-    if len(pixels) > 1 and way_m >= MOVED_M and bool((pixels == pixels[0]).all()):
-        raise BadBagError(
-            f"{entry.name}, {topic}: all {len(pixels)} images are the same to the bit while the "
-            f"indenter moves {1e3 * way_m:.1f} mm, expected a live camera; record its images again "
-            "or leave the trajectory out"
-        )
+def summarize_reasons(reasons: Sequence[str]) -> str:
+    """Return the first reasons on one line, and how many more there are."""
+    more = len(reasons) - MOST_REASONS
+    return "; ".join(reasons[:MOST_REASONS]) + (f"; and {more} more" if more > 0 else "")
 
 
-LARGEST_DELAY_S = 0.5
-"""Of one channel after another by the same clock; cameras and arms are late by tenths at most."""
+def _seconds(stamp_ns: IntArray) -> FloatArray:
+    return 1e-9 * stamp_ns.astype(np.float64)
+
+
+def _span(stamp_ns: IntArray) -> Span:
+    return 1e-9 * float(stamp_ns[0]), 1e-9 * float(stamp_ns[-1])
+
+
+def _stamps_differ(channel: str, stamp_ns: IntArray, pose_ns: IntArray) -> str:
+    if len(stamp_ns) == len(pose_ns):
+        later_s = _seconds(stamp_ns - pose_ns)
+        if float(np.ptp(later_s)) < SAME_DELAY_S:
+            return (
+                f"every stamp of the {channel} is {abs(later_s[0]):.3g} s "
+                f"{'after' if later_s[0] > 0.0 else 'before'} that of its pose, expected equal "
+                "stamps: two clocks, or one channel stamped when it was received; stamp all by one "
+                "clock, when they are measured"
+            )
+    return (
+        f"{len(stamp_ns)} stamps of the {channel} differ from the {len(pose_ns)} of the pose, "
+        "expected equal stamps; record one pose with each, interpolated to its time if need be"
+    )
 
 
 def _check_clocks(
@@ -286,10 +475,8 @@ def _check_clocks(
 
     A channel that is recorded longer than the poses, at one end or both, passes.
     """
-    begins_s, ends_s = (
-        1e-9 * float(stamp_ns[0] - pose_ns[0]),
-        1e-9 * float(stamp_ns[-1] - pose_ns[-1]),
-    )
+    begins_s = 1e-9 * float(stamp_ns[0] - pose_ns[0])
+    ends_s = 1e-9 * float(stamp_ns[-1] - pose_ns[-1])
     period_s = 1e-9 * float(np.ptp(stamp_ns)) / max(len(stamp_ns) - 1, 1)
     same = abs(begins_s - ends_s) <= max(0.1, 2.0 * period_s)
     if same and min(abs(begins_s), abs(ends_s)) > LARGEST_DELAY_S and begins_s * ends_s > 0.0:
@@ -312,124 +499,3 @@ def _poses_at(wanted_ns: IntArray, stamp_ns: IntArray, poses: Sequence[Pose]) ->
         share = (wanted - stamp_ns[before]) / (stamp_ns[after] - stamp_ns[before])
         found.append(interpolate(poses[before], poses[after], float(share)))
     return found
-
-
-def check_bag(
-    entry: DataSetEntry,
-    *,
-    vertex_count: int | None,
-    topics: Topics = MEASURED_TOPICS,
-    channels: Sequence[str] = CHANNELS,
-) -> None:
-    """Look at each message of poses, wrenches and skins in the order of their recording.
-
-    Args:
-        entry: the trajectory.
-        vertex_count: of the data set's skin; None where clouds may differ.
-        topics: where the channels lie.
-        channels: which of them to look at.
-
-    Raises:
-        BadBagError: a topic of the wrong type, no poses, another frame than the sensor's base,
-            stamps out of order, a number that is not finite, lengths in millimetres, another number
-            of skin points.
-        FileNotFoundError, ValueError: as `BagReader`.
-    """
-    channel_of = {getattr(topics, channel): channel for channel in channels}
-    last: dict[str, int] = {}
-    counts = dict.fromkeys(CHANNELS, 0)
-    with BagReader(entry.bag) as bag:
-        there = bag.topics()
-        for topic, channel in channel_of.items():
-            if topic in there and there[topic] not in MESSAGE_TYPES[channel]:
-                raise BadBagError(
-                    f"{entry.name}, {topic}: holds {there[topic]}, expected "
-                    f"{' or '.join(MESSAGE_TYPES[channel])}; record that type, or name the topic "
-                    "that has it"
-                )
-        if topics.pose not in there:
-            raise BadBagError(
-                f"{entry.name}: no message on {topics.pose}; the bag holds "
-                f"{', '.join(there) or 'nothing'}; record the indenter's poses "
-                "(geometry_msgs/PoseStamped), or name their topic"
-            )
-        for message in bag.messages(*channel_of):
-            channel = channel_of[message.topic]
-            place = f"{entry.name}, {message.topic}, message {counts[channel]}"
-            counts[channel] += 1
-            try:
-                content = message.message()
-                stamp = msg_adapters.message_stamp_ns(content)
-                _check_frame(content, entry.base_frame)
-                _CHECKS[channel](content, vertex_count)
-            except ValueError as error:
-                raise BadBagError(f"{place}: {error}") from error
-            if stamp <= last.get(channel, -1):
-                raise BadBagError(
-                    f"{place}: stamp {stamp} ns does not come after {last[channel]} ns of the "
-                    "message before; record with one clock, and each message once"
-                )
-            last[channel] = stamp
-
-
-def _check_frame(message: msg_adapters.Message, base_frame: str) -> None:
-    found = str(message.header.frame_id)
-    if found.removeprefix("/") != base_frame.removeprefix("/"):
-        raise ValueError(
-            f"frame_id is {found!r}, expected {base_frame!r}, the sensor's base frame; transform "
-            "poses, forces and skin into it, or where it only has another name, add the line "
-            f"'base_frame: {found or repr('')}' to dataset.yaml"
-        )
-
-
-def _check_length(values: FloatArray, what: str) -> None:
-    finite = np.isfinite(values)
-    if not finite.all():
-        raise ValueError(
-            f"the {what} holds a number that is not finite; drop such frames while recording"
-        )
-    largest = float(np.abs(values).max(initial=0.0))
-    if largest > LARGEST_LENGTH_M:
-        raise ValueError(
-            f"the {what} reaches {largest:.4g} m from the base, expected metres and at most "
-            f"{LARGEST_LENGTH_M} m; if these are millimetres, multiply by 0.001"
-        )
-
-
-def _decoded(decode: Callable[[msg_adapters.Message], Any], message: msg_adapters.Message) -> Any:
-    try:
-        return decode(message)
-    except ValueError as error:
-        raise ValueError(f"{error}; mend what publishes it, or drop the message") from error
-
-
-def _check_pose(message: msg_adapters.Message, _vertex_count: int | None) -> None:
-    position, _ = _decoded(msg_adapters.decode_pose_stamped, message)
-    _check_length(position, "pose")
-
-
-def _check_wrench(message: msg_adapters.Message, _vertex_count: int | None) -> None:
-    force, _ = _decoded(msg_adapters.decode_wrench_stamped, message)
-    largest = float(np.abs(force).max())
-    if largest > LARGEST_FORCE_N:
-        raise ValueError(
-            f"the force is {largest:.4g} N, expected newtons and at most {LARGEST_FORCE_N} N; "
-            "if these are millinewtons or raw counts, convert them"
-        )
-
-
-def _check_skin(message: msg_adapters.Message, vertex_count: int | None) -> None:
-    position = _decoded(msg_adapters.decode_cloud, message).position
-    _check_length(position, "skin")
-    if vertex_count is not None and len(position) != vertex_count:
-        raise ValueError(
-            f"the skin has {len(position)} points, the data set's mesh {vertex_count}; record the "
-            "vertices of skin_mesh.npz, or remove that file so that points need not correspond"
-        )
-
-
-_CHECKS: dict[str, Callable[[msg_adapters.Message, int | None], None]] = {
-    "pose": _check_pose,
-    "wrench": _check_wrench,
-    "skin": _check_skin,
-}

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 from heapq import merge
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,6 @@ import msg_adapters
 from dotsim_ros.data.bag import BAG_TYPES, BagFile, BagMessage, BagReader, bag_name
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray, IntArray
-
-StampedMessage = tuple[int, str, msg_adapters.Message]
 
 BASE_FRAME = "densetact_base"
 OPTICAL_FRAME = "densetact_optical_frame"
@@ -154,65 +154,21 @@ def _check_channel(name: str, channel: Channel) -> None:
             raise ValueError(f"{name} has {len(stamps)} stamps and {len(values)} {item.name}")
 
 
-def _pose_channel(messages: list[msg_adapters.Message]) -> PoseChannel:
-    decoded = [msg_adapters.decode_pose_stamped(message) for message in messages]
-    return PoseChannel(
-        _stamps(messages),
-        np.stack([position for position, _ in decoded]),
-        np.stack([quaternion for _, quaternion in decoded]),
-        messages[0].header.frame_id,
-    )
+@dataclass(frozen=True)
+class _Form:
+    """How a channel is made of messages, and messages of it.
 
+    Attributes:
+        channel: its class.
+        types: of the messages.
+        decode: returns a message's row of each array of the channel.
+        encode: makes a message of such rows.
+    """
 
-def _wrench_channel(messages: list[msg_adapters.Message]) -> WrenchChannel:
-    decoded = [msg_adapters.decode_wrench_stamped(message) for message in messages]
-    return WrenchChannel(
-        _stamps(messages),
-        np.stack([force for force, _ in decoded]),
-        np.stack([torque for _, torque in decoded]),
-        messages[0].header.frame_id,
-    )
-
-
-def _skin_channel(messages: list[msg_adapters.Message]) -> SkinChannel:
-    clouds = [msg_adapters.decode_cloud(message).position for message in messages]
-    counts = sorted({len(cloud) for cloud in clouds})
-    if len(counts) > 1:
-        raise ValueError(
-            f"skin frames hold from {counts[0]} to {counts[-1]} points; expected the same vertices "
-            "in every frame"
-        )
-    positions = np.stack(clouds).astype(np.float32, copy=False)
-    return SkinChannel(_stamps(messages), positions, messages[0].header.frame_id)
-
-
-def _image_channel(messages: list[msg_adapters.Message]) -> ImageChannel:
-    images = [decode_colour(message) for message in messages]
-    sizes = sorted({image.shape[:2] for image in images})
-    if len(sizes) > 1:
-        raise ValueError(f"images change their size, from {sizes[0]} to {sizes[-1]}")
-    return ImageChannel(_stamps(messages), np.stack(images), messages[0].header.frame_id)
-
-
-def _stamps(messages: Iterable[msg_adapters.Message]) -> IntArray:
-    return np.array([msg_adapters.message_stamp_ns(m) for m in messages], dtype=np.int64)
-
-
-CHANNELS: dict[str, Callable[[list[msg_adapters.Message]], Any]] = {
-    "pose": _pose_channel,
-    "wrench": _wrench_channel,
-    "skin": _skin_channel,
-    "image": _image_channel,
-}
-"""How each channel is made of its messages."""
-
-MESSAGE_TYPES = {
-    "pose": ("geometry_msgs/msg/PoseStamped",),
-    "wrench": ("geometry_msgs/msg/WrenchStamped",),
-    "skin": ("sensor_msgs/msg/PointCloud2",),
-    "image": ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"),
-}
-"""Which message types each channel is read from."""
+    channel: type[Channel]
+    types: tuple[str, ...]
+    decode: Callable[[msg_adapters.Message], tuple[NDArray[Any], ...]]
+    encode: Callable[..., msg_adapters.Message]
 
 
 def decode_colour(message: msg_adapters.Message) -> NDArray[np.uint8]:
@@ -227,15 +183,109 @@ def decode_colour(message: msg_adapters.Message) -> NDArray[np.uint8]:
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
 
 
-def decode_message(bag_message: BagMessage) -> msg_adapters.Message:
-    """Return the message, its stamp checked.
+def _decode_skin(message: msg_adapters.Message) -> tuple[NDArray[np.float32]]:
+    return (msg_adapters.decode_cloud(message).position.astype(np.float32, copy=False),)
+
+
+CHANNELS = {
+    "pose": _Form(
+        PoseChannel,
+        ("geometry_msgs/msg/PoseStamped",),
+        msg_adapters.decode_pose_stamped,
+        msg_adapters.encode_pose_stamped,
+    ),
+    "wrench": _Form(
+        WrenchChannel,
+        ("geometry_msgs/msg/WrenchStamped",),
+        msg_adapters.decode_wrench_stamped,
+        msg_adapters.encode_wrench_stamped,
+    ),
+    "skin": _Form(
+        SkinChannel,
+        ("sensor_msgs/msg/PointCloud2",),
+        _decode_skin,
+        msg_adapters.encode_cloud,
+    ),
+    "image": _Form(
+        ImageChannel,
+        ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"),
+        lambda message: (decode_colour(message),),
+        partial(msg_adapters.encode_image, encoding="rgb8"),
+    ),
+}
+"""The channels by name."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One message of a channel, decoded: its stamp, its frame, and a row of each array."""
+
+    stamp_ns: int
+    frame_id: str
+    values: tuple[NDArray[Any], ...]
+
+
+def decoded(message: BagMessage, name: str, place: str) -> Row:
+    """Return a message of a channel, decoded.
+
+    Args:
+        message: of a bag.
+        name: of the channel.
+        place: of the message, for the error.
 
     Raises:
-        ValueError: the bytes are no such message, or its stamp is no time.
+        ValueError: it is malformed.
     """
-    message = bag_message.message()
-    msg_adapters.message_stamp_ns(message)
-    return message
+    content = message.message()
+    try:
+        values = CHANNELS[name].decode(content)
+        stamp_ns = msg_adapters.message_stamp_ns(content)
+    except ValueError as error:
+        raise ValueError(
+            f"{place}: {error}; mend what publishes it, or drop the message"
+        ) from error
+    return Row(stamp_ns, str(content.header.frame_id), values)
+
+
+def channel_of(name: str, rows: Sequence[Row]) -> Any:
+    """Return the channel that messages make, ordered by their stamps.
+
+    Raises:
+        ValueError: their arrays differ in size.
+    """
+    rows = sorted(rows, key=attrgetter("stamp_ns"))
+    columns = list(zip(*(row.values for row in rows), strict=True))
+    for column in columns:
+        shapes = sorted({array.shape for array in column})
+        if len(shapes) > 1:
+            raise ValueError(
+                f"{name}: messages have arrays from {shapes[0]} to {shapes[-1]}, expected one size "
+                "in all"
+            )
+    stamp_ns = np.array([row.stamp_ns for row in rows], dtype=np.int64)
+    return CHANNELS[name].channel(
+        stamp_ns, *(np.stack(column) for column in columns), rows[0].frame_id
+    )
+
+
+def check_types(there: Mapping[str, str], topic_of: Mapping[str, str], place: str) -> None:
+    """Refuse a topic of a type that its channel is not read from.
+
+    Args:
+        there: type of each topic of a bag.
+        topic_of: topic of each channel.
+        place: name of the bag, for the error.
+
+    Raises:
+        ValueError: it has another type.
+    """
+    for name, topic in topic_of.items():
+        types = CHANNELS[name].types
+        if topic in there and there[topic] not in types:
+            raise ValueError(
+                f"{place}, {topic}: holds {there[topic]}, expected {' or '.join(types)} as {name}; "
+                "record that type, or name the topic that has it"
+            )
 
 
 def read_trajectory(
@@ -246,7 +296,8 @@ def read_trajectory(
 ) -> Trajectory:
     """Read a trajectory from a ROS 2 bag (mcap or sqlite3), without ROS.
 
-    Frames are ordered and timed by their headers' stamps, not by when they were recorded.
+    Frames are ordered and timed by their headers' stamps, not by when they were recorded. What a
+    data set's bag holds is checked by `reading.read_bag` as it is read.
 
     Args:
         path: folder of the bag.
@@ -256,115 +307,38 @@ def read_trajectory(
     Raises:
         FileNotFoundError: no bag at `path`.
         ValueError: it is no bag; it holds none of the topics; a topic has a type that its channel
-            is not read from; or a message is malformed. The message names topic and frame.
+            is not read from; or a message is malformed. The text names topic and message.
     """
-    path = Path(path)
-    wanted = {getattr(topics, name): name for name in channels}
-    found: dict[str, list[msg_adapters.Message]] = {}
+    topic_of = {name: getattr(topics, name) for name in channels}
+    name_of = {topic: name for name, topic in topic_of.items()}
+    rows: dict[str, list[Row]] = {}
     with BagReader(path) as bag:
         there = bag.topics()
-        for topic, name in wanted.items():
-            if topic in there and there[topic] not in MESSAGE_TYPES[name]:
-                raise ValueError(
-                    f"{path}: {topic} holds {there[topic]}; {name} is read from "
-                    f"{' or '.join(MESSAGE_TYPES[name])}"
-                )
-        if not set(wanted) & set(there):
+        check_types(there, topic_of, str(path))
+        if not set(name_of) & set(there):
             raise ValueError(
-                f"{path} holds none of {', '.join(wanted)}; it holds "
+                f"{path} holds none of {', '.join(name_of)}; it holds "
                 f"{', '.join(there) or 'no message'}: name its topics"
             )
-        for bag_message in bag.messages(*wanted):
-            message = decode_message(bag_message)
-            found.setdefault(wanted[bag_message.topic], []).append(message)
-    made = {}
-    for name, messages in found.items():
-        messages.sort(key=msg_adapters.message_stamp_ns)
-        try:
-            made[name] = CHANNELS[name](messages)
-        except ValueError as error:
-            raise ValueError(f"{path}, topic {getattr(topics, name)}: {error}") from error
-    return Trajectory(**made, name=bag_name(path))
+        for message in bag.messages(*name_of):
+            found = rows.setdefault(name_of[message.topic], [])
+            place = f"{path}, {message.topic}, message {len(found)}"
+            found.append(decoded(message, name_of[message.topic], place))
+    try:
+        made = {name: channel_of(name, each) for name, each in rows.items()}
+        return Trajectory(**made, name=bag_name(path))
+    except ValueError as error:
+        raise ValueError(f"{path}, {error}") from error
 
 
-def iterate_images(path: str | Path, topic: str) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Yield stamps (ns) and (H, W, 3) uint8 RGB images of one topic, one in memory at a time.
-
-    Raises:
-        FileNotFoundError: no bag at `path`.
-        ValueError: it is no bag, or a message is no image.
-    """
-    with BagReader(path) as bag:
-        for bag_message in bag.messages(topic):
-            message = decode_message(bag_message)
-            yield msg_adapters.message_stamp_ns(message), decode_colour(message)
-
-
-def _pose_messages(channel: PoseChannel, topic: str) -> Iterator[StampedMessage]:
-    for stamp, position, quaternion in zip(
-        channel.stamp_ns.tolist(), channel.position_m, channel.quaternion_xyzw, strict=True
-    ):
-        yield (
-            stamp,
-            topic,
-            msg_adapters.encode_pose_stamped(
-                position, quaternion, stamp_ns=stamp, frame_id=channel.frame_id, types=BAG_TYPES
-            ),
-        )
-
-
-def _wrench_messages(channel: WrenchChannel, topic: str) -> Iterator[StampedMessage]:
-    for stamp, force, torque in zip(
-        channel.stamp_ns.tolist(), channel.force_n, channel.torque_nm, strict=True
-    ):
-        yield (
-            stamp,
-            topic,
-            msg_adapters.encode_wrench_stamped(
-                force, torque, stamp_ns=stamp, frame_id=channel.frame_id, types=BAG_TYPES
-            ),
-        )
-
-
-def _skin_messages(channel: SkinChannel, topic: str) -> Iterator[StampedMessage]:
-    for stamp, position in zip(channel.stamp_ns.tolist(), channel.position_m, strict=True):
-        yield (
-            stamp,
-            topic,
-            msg_adapters.encode_cloud(
-                position, stamp_ns=stamp, frame_id=channel.frame_id, types=BAG_TYPES
-            ),
-        )
-
-
-def _raw_image_messages(channel: ImageChannel, topic: str) -> Iterator[StampedMessage]:
-    for stamp, pixels in zip(channel.stamp_ns.tolist(), channel.pixels, strict=True):
-        yield (
-            stamp,
-            topic,
-            msg_adapters.encode_image(
-                pixels,
-                encoding="rgb8",
-                stamp_ns=stamp,
-                frame_id=channel.frame_id,
-                types=BAG_TYPES,
-            ),
-        )
-
-
-def _png_image_messages(channel: ImageChannel, topic: str) -> Iterator[StampedMessage]:
-    for stamp, pixels in zip(channel.stamp_ns.tolist(), channel.pixels, strict=True):
-        yield (
-            stamp,
-            topic,
-            msg_adapters.encode_compressed_image(
-                pixels,
-                compression="png",
-                stamp_ns=stamp,
-                frame_id=channel.frame_id,
-                types=BAG_TYPES,
-            ),
-        )
+def _messages(
+    channel: Channel, topic: str, encode: Callable[..., msg_adapters.Message]
+) -> Iterator[tuple[int, str, msg_adapters.Message]]:
+    """Yield stamp, topic and message of each row of a channel."""
+    _, *arrays, _ = (getattr(channel, item.name) for item in fields(channel))
+    for stamp_ns, *values in zip(channel.stamp_ns.tolist(), *arrays, strict=True):
+        head = {"stamp_ns": stamp_ns, "frame_id": channel.frame_id, "types": BAG_TYPES}
+        yield stamp_ns, topic, encode(*values, **head)
 
 
 def write_trajectory(
@@ -383,19 +357,14 @@ def write_trajectory(
         FileExistsError: there is something at `path` already.
         ValueError: no channel at all, or numbers that are not finite.
     """
-    streams: list[Iterator[StampedMessage]] = []
-    if trajectory.pose is not None:
-        streams.append(_pose_messages(trajectory.pose, topics.pose))
-    if trajectory.wrench is not None:
-        streams.append(_wrench_messages(trajectory.wrench, topics.wrench))
-    if trajectory.skin is not None:
-        streams.append(_skin_messages(trajectory.skin, topics.skin))
-    if trajectory.image is not None:
-        is_compressed = topics.image.endswith("/compressed")
-        make = _png_image_messages if is_compressed else _raw_image_messages
-        streams.append(make(trajectory.image, topics.image))
+    streams = []
+    for name, channel in trajectory.channels().items():
+        topic, encode = getattr(topics, name), CHANNELS[name].encode
+        if name == "image" and topic.endswith("/compressed"):
+            encode = partial(msg_adapters.encode_compressed_image, compression="png")
+        streams.append(_messages(channel, topic, encode))
     if not streams:
         raise ValueError("the trajectory has no channel to write")
     with BagFile(path) as bag:
-        for stamp, topic, message in merge(*streams, key=lambda item: item[0]):
-            bag.write(topic, stamp, message)
+        for stamp_ns, topic, message in merge(*streams, key=lambda item: item[0]):
+            bag.write(topic, stamp_ns, message)

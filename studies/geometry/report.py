@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.data.data_set import DataSet, find_indenter
+from dotsim_ros.data.data_set import DataSet
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import read_observation, summarize_reasons
 from dotsim_ros.data.split import (
@@ -76,13 +76,7 @@ def read_measured(data: DataSet, *, meshes: DataSet | None = None) -> Measured:
     left_out: dict[str, str] = {}
     for entry in data.entries:
         try:
-            found = read_observation(
-                data,
-                entry,
-                skin=skin,
-                has_vertices=True,
-                indenter_of=lambda name: find_indenter(source, name),
-            )
+            found = read_observation(source, entry, skin=skin, has_vertices=True)
         except (ValueError, OSError) as error:
             left_out[entry.name] = str(error)
             continue

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.data.data_set import read_data_set
-from dotsim_ros.data.trajectory import iterate_images
+from dotsim_ros.data.trajectory import Topics, read_trajectory
 from dotsim_ros.optics.idle_check import read_idle_images
 from dotsim_ros.optics.network.input import resized
 from dotsim_ros.twin.image_metrics import image_psnr_db
@@ -52,7 +52,9 @@ def residual_size(
         known = ", ".join(sorted({entry.indenter for entry in entries}))
         raise ValueError(f"no images of {' '.join(indenters)}; the data set has {known}")
     for entry in judged:
-        for _, measured in iterate_images(entry.bag, topic):
+        images = read_trajectory(entry.bag, topics=Topics(image=topic), channels=("image",)).image
+        assert images is not None
+        for measured in images.pixels:
             completion = measured - idle
             scores["idle"].append(image_psnr_db(measured, np.rint(idle).astype(np.uint8)))
             for small in widths:

@@ -17,8 +17,8 @@ import yaml
 from numpy.typing import NDArray
 
 from dotsim_ros.data.data_set import DataSet, DataSetEntry, read_data_set
-from dotsim_ros.data.presses import Prediction, Press, press_of
-from dotsim_ros.data.reading import read_observation
+from dotsim_ros.data.presses import Prediction, Press
+from dotsim_ros.data.reading import press_of, read_observation
 from dotsim_ros.data.split import (
     Split,
     hold_out_of_protocols,
@@ -189,22 +189,6 @@ def test_channels_stamped_otherwise_are_refused() -> None:
     late = WrenchChannel(wrench.stamp_ns + 1, wrench.force_n, wrench.torque_nm)
     with pytest.raises(ValueError, match="every stamp of the wrench is 1e-09 s after"):
         press_of(trajectory(wrench=late), name="a", indenter="ball")
-
-
-def test_millimetres_are_named() -> None:
-    skin = press().skin_position_m
-    assert skin is not None
-    with pytest.raises(ValueError, match=r"ball_0, skin, frame 0: .* were these millimetres\?"):
-        press(skin_position_m=1e3 * skin)
-
-
-def test_numbers_that_are_not_finite_are_named() -> None:
-    skin = press().skin_position_m
-    assert skin is not None
-    broken = skin.copy()
-    broken[2, 7, 1] = np.nan
-    with pytest.raises(ValueError, match="ball_0, skin, frame 2: a number is not finite"):
-        press(skin_position_m=broken)
 
 
 def test_times_that_do_not_increase_are_named() -> None:

@@ -13,8 +13,7 @@ import pytest
 from dotsim_ros.data.data_set_writer import write_data_set
 from dotsim_ros.data.measurement import read_measurement, read_poses
 from dotsim_ros.data.presses import Press
-from dotsim_ros.data.recording import Recording, phases_of
-from dotsim_ros.data.session import session_starts
+from dotsim_ros.data.recording import Recording, phases_of, session_starts
 from dotsim_ros.data.trajectory import ImageChannel, PoseChannel, Trajectory, WrenchChannel
 from dotsim_ros.effects.excitation import presses_late
 from dotsim_ros.gap.find import channels_of

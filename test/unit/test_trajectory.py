@@ -22,7 +22,6 @@ from dotsim_ros.data.trajectory import (
     Topics,
     Trajectory,
     WrenchChannel,
-    iterate_images,
     read_trajectory,
     write_trajectory,
 )
@@ -79,13 +78,6 @@ def test_only_the_channels_asked_for_are_read(tmp_path, trajectory):
     write_trajectory(tmp_path / "press", trajectory)
     read = read_trajectory(tmp_path / "press", channels=["wrench"])
     assert list(read.channels()) == ["wrench"]
-
-
-def test_images_come_one_at_a_time(tmp_path, trajectory):
-    write_trajectory(tmp_path / "press", trajectory)
-    found = list(iterate_images(tmp_path / "press", Topics().image))
-    assert [stamp for stamp, _ in found] == trajectory.image.stamp_ns.tolist()
-    assert np.array_equal(found[1][1], trajectory.image.pixels[1])
 
 
 def test_bag_is_version_9_in_mcap_and_ordered(tmp_path, trajectory):
@@ -160,7 +152,7 @@ def _cloud(stamp_ns, count):
 
 def test_number_that_is_not_finite_is_refused_by_topic(tmp_path):
     _bag_of(tmp_path / "press", Topics().wrench, _wrench(1), _wrench(2, y=float("nan")))
-    with pytest.raises(ValueError, match=r"topic /indenter/wrench: force .* not finite"):
+    with pytest.raises(ValueError, match=r"/indenter/wrench, message 1: force .* not finite"):
         read_trajectory(tmp_path / "press")
 
 
@@ -172,13 +164,13 @@ def test_repeated_stamp_is_refused(tmp_path):
 
 def test_skin_that_changes_its_vertices_is_refused(tmp_path):
     _bag_of(tmp_path / "press", Topics().skin, _cloud(1, 4), _cloud(2, 5))
-    with pytest.raises(ValueError, match="from 4 to 5 points"):
+    with pytest.raises(ValueError, match=r"skin: messages have arrays from \(4, 3\) to \(5, 3\)"):
         read_trajectory(tmp_path / "press")
 
 
 def test_wrong_type_is_refused(tmp_path):
     _bag_of(tmp_path / "press", Topics().pose, _wrench(1))
-    with pytest.raises(ValueError, match="pose is read from geometry_msgs/msg/PoseStamped"):
+    with pytest.raises(ValueError, match="expected geometry_msgs/msg/PoseStamped as pose"):
         read_trajectory(tmp_path / "press")
 
 

@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
-from dotsim_ros.data.reading import read_press_images
-from dotsim_ros.data.recording import Recording, phases_of
-from dotsim_ros.data.session import session_starts, span_of
+from dotsim_ros.data.data_set import find_indenter, read_data_set
+from dotsim_ros.data.reading import read_press_images, starts_in_session
+from dotsim_ros.data.recording import Recording, Span, recording_of
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
-from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
+from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import ImageArray
 
 MOST_IMAGES = 300
@@ -116,16 +115,17 @@ def read_images(
     entries = [e for e in data_set.entries if e.has_images and (names is None or e.name in names)]
     most = _most_frames([entry.frame_count for entry in entries])
     warnings: list[str] = []
-    found: list[ImageTrajectory] = []
+    found: dict[str, ImageTrajectory] = {}
+    spans_s: dict[str, Span] = {}
     digest = hashlib.sha256(idle_images.tobytes())
-    starts_s = session_starts([span_of(entry, topics) for entry in data_set.entries])
-    for entry, start_s in zip(data_set.entries, starts_s, strict=True):
-        if entry not in entries:
-            continue
+    for entry in entries:
         try:
-            one = _read(data_set, entry, idle_images, skin, start_s, indenters, topics, most)
-            found.append(one)
-            digest.update(one.measured.tobytes())
+            one = read_press_images(entry, idle=idle_images[0], topics=topics, most=most)
+            indenter = find_indenter(data_set, entry.indenter, indenters)
+            spans_s[entry.name] = one.span_s
+            recording = recording_of(one.press, indenter, skin, one.delay_s)
+            found[entry.name] = ImageTrajectory(recording, one.pixels)
+            digest.update(one.pixels.tobytes())
         except (FileNotFoundError, ValueError) as error:
             warnings.append(f"the images of {entry.name} were left out: {error}")
     if not found:
@@ -134,8 +134,15 @@ def read_images(
             "camera's images next to the poses, and say 'images: true' in the index"
             + "".join(f"; {text}" for text in warnings)
         )
+    spans = [spans_s.get(entry.name) for entry in data_set.entries]
+    starts_s = starts_in_session(data_set, spans, topics)
+    trajectories = tuple(
+        _later(found[entry.name], start_s)
+        for entry, start_s in zip(data_set.entries, starts_s, strict=True)
+        if entry.name in found
+    )
     return MeasuredImages(
-        data_set.directory, idle_images, tuple(found), tuple(warnings), digest.hexdigest()[:16]
+        data_set.directory, idle_images, trajectories, tuple(warnings), digest.hexdigest()[:16]
     )
 
 
@@ -203,24 +210,8 @@ def _most_frames(counts: Sequence[int]) -> int:
     return max(LEAST_FRAMES, MOST_IMAGES // max(len(counts), 1))
 
 
-def _read(
-    data_set: DataSet,
-    entry: DataSetEntry,
-    idle_images: ImageArray,
-    skin: SkinMesh,
-    session_s: float,
-    indenters: str | Path | None,
-    topics: Topics,
-    most: int,
-) -> ImageTrajectory:
-    found = read_press_images(entry, idle=idle_images[0], topics=topics, most=most)
-    press = found.press
-    depth_m = np.asarray(tip_depth_m(skin, press.poses))
-    recording = Recording(
-        press,
-        find_indenter(data_set, entry.indenter, indenters),
-        session_s + found.delay_s,
-        depth_m,
-        phases_of(press.poses, press.stamp_s, depth_m),
-    )
-    return ImageTrajectory(recording, found.pixels)
+def _later(one: ImageTrajectory, start_s: float) -> ImageTrajectory:
+    """Return a trajectory whose time in the session counts from its own start, counted from that of
+    the session."""
+    recording = one.recording
+    return replace(one, recording=replace(recording, session_s=start_s + recording.session_s))
