@@ -72,7 +72,7 @@ def _described(name: str, frame_count: int | None) -> dict[str, Any]:
     camera = sensor.camera
     rate = None
     if frame_count is not None:
-        from dotsim_ros.view.frame_rate import frames_per_second
+        from dotsim_ros.view.sensors import frames_per_second
 
         print(f"measuring {name}", file=sys.stderr, flush=True)
         rate = round(frames_per_second(sensor, frame_count), 1)

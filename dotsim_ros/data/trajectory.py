@@ -165,7 +165,7 @@ class _Form:
         encode: makes a message of such rows.
     """
 
-    channel: type[Channel]
+    channel: Callable[..., Channel]
     types: tuple[str, ...]
     decode: Callable[[msg_adapters.Message], tuple[NDArray[Any], ...]]
     encode: Callable[..., msg_adapters.Message]

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 import msg_adapters
 from dotsim_ros.data.bag import BagReader, bag_name
-from dotsim_ros.data.mcap.reader import Tolerance
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray, IntArray
@@ -29,15 +27,7 @@ from dotsim_ros.live.payloads import (
 )
 from dotsim_ros.live.recorder import NAME_TOPIC, NAME_TYPE
 from dotsim_ros.view.skin_map import rest_position_m, skin_triangles
-from dotsim_ros.view.timeline import (
-    BagMoment,
-    Forces,
-    ViewTopics,
-    find_topics,
-    iterate_moments,
-    read_forces,
-    read_stamps,
-)
+from dotsim_ros.view.timeline import BagMoment, Forces, Timeline, open_timeline
 
 LARGEST_MOMENT_COUNT = 1500
 """A minute at 25 Hz, some 200 MB; of a longer bag as many are shown, evenly spread."""
@@ -74,27 +64,28 @@ def read_playback(path: Path) -> Playback:
         FileNotFoundError: no bag at `path`.
         ValueError: it is no bag that can be read, a message is malformed, or it shows nothing.
     """
-    with BagReader(path, Tolerance.UNFINISHED) as reader:
-        there = reader.topics()
-    if not there:
-        raise ValueError(f"{path} holds no message that can be read; record the bag again")
-    topics = find_topics(there)
-    stamps_ns = read_stamps(path, topics).stamp_ns
-    if stamps_ns.size == 0:
-        raise ValueError(f"{path} shows nothing: no image, no depth and no skin")
-    forces = read_forces(path, topics.wrench)
-    poses = _Poses(path, there)
-    chosen = _spread(stamps_ns)
+    with open_timeline(path) as timeline:
+        return _playback(path, timeline)
+
+
+def _playback(path: Path, timeline: Timeline) -> Playback:
+    forces, poses = timeline.forces, _Poses(timeline.bag)
+    chosen = _spread(timeline.stamp_ns)
     scene: Scene | None = None
     scale = IndentationScale()
     rest_depth_m: NDArray[np.floating] | None = None
     before: BagMoment | None = None
     skins: list[bytes | None] = []
     pictures: list[bytes] = []
-    for moment in _moments(path, topics, chosen):
+    last_ns = -1
+    for moment in timeline.moments():
+        # Each stamp once, in order.
+        if moment.stamp_ns not in chosen or moment.stamp_ns <= last_ns:
+            continue
+        last_ns = moment.stamp_ns
         if moment.cloud is not None and scene is None:
             rest_m = rest_position_m(moment.cloud)
-            scene = Scene(rest_m, skin_triangles(rest_m), _indenter(path, there))
+            scene = Scene(rest_m, skin_triangles(rest_m), _indenter(timeline.bag))
         if not _have_one_size(moment.depth_m, rest_depth_m):
             rest_depth_m = None
         if rest_depth_m is None and _shows_rest(moment, before, scene):
@@ -116,22 +107,21 @@ def read_playback(path: Path) -> Playback:
 class _Poses:
     """The poses of a bag by their stamps; none where it holds none."""
 
-    def __init__(self, path: Path, there: dict[str, str]) -> None:
+    def __init__(self, bag: BagReader) -> None:
         found = [
             topic
             for ending in POSE_ENDINGS
-            for topic, kind in there.items()
+            for topic, kind in bag.topics().items()
             if kind == POSE_TYPE and f"/{topic}".endswith(f"/{ending}")
         ]
         self._stamp_ns: IntArray = np.zeros(0, dtype=np.int64)
         if not found:
             return
         posed: dict[int, Pose] = {}
-        with BagReader(path, Tolerance.UNFINISHED) as reader:
-            for message in reader.messages(found[0]):
-                content = message.message()
-                stamp_ns = msg_adapters.message_stamp_ns(content)
-                posed[stamp_ns] = Pose(*msg_adapters.decode_pose_stamped(content))
+        for message in bag.messages(found[0]):
+            content = message.message()
+            stamp_ns = msg_adapters.message_stamp_ns(content)
+            posed[stamp_ns] = Pose(*msg_adapters.decode_pose_stamped(content))
         self._stamp_ns = np.array(sorted(posed), dtype=np.int64)
         self._poses = [posed[stamp_ns] for stamp_ns in sorted(posed)]
 
@@ -141,12 +131,11 @@ class _Poses:
         return self._poses[index] if index >= 0 else None
 
 
-def _indenter(path: Path, there: dict[str, str]) -> Indenter | None:
+def _indenter(bag: BagReader) -> Indenter | None:
     """Return what pressed, where the bag names a shipped shape or defines one."""
-    if there.get(NAME_TOPIC) != NAME_TYPE:
+    if bag.topics().get(NAME_TOPIC) != NAME_TYPE:
         return None
-    with BagReader(path, Tolerance.UNFINISHED) as reader:
-        name = next((str(each.message().data) for each in reader.messages(NAME_TOPIC)), "")
+    name = next((str(each.message().data) for each in bag.messages(NAME_TOPIC)), "")
     # Never a path: a bag may come from anywhere.
     if not re.fullmatch(r"(?!mesh)\w{1,100}(\([\w=., \[\]+-]{1,200}\))?", name):
         return None
@@ -179,15 +168,6 @@ def _spread(stamps_ns: IntArray) -> set[int]:
         return set(stamps_ns.tolist())
     index = np.linspace(0, len(stamps_ns) - 1, LARGEST_MOMENT_COUNT).round().astype(int)
     return set(stamps_ns[index].tolist())
-
-
-def _moments(path: Path, topics: ViewTopics, chosen: set[int]) -> Iterator[BagMoment]:
-    """Yield the chosen moments, each once, in the order of their stamps."""
-    last_ns = -1
-    for moment in iterate_moments(path, topics):
-        if moment.stamp_ns in chosen and moment.stamp_ns > last_ns:
-            last_ns = moment.stamp_ns
-            yield moment
 
 
 def _skin(

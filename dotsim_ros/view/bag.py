@@ -6,26 +6,18 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.data.bag import BagReader, bag_name
-from dotsim_ros.data.mcap.reader import Tolerance
+from dotsim_ros.data.bag import bag_name
 from dotsim_ros.io.documents import ArrayForm, read_arrays
-from dotsim_ros.view.panels import PanelImages
+from dotsim_ros.view.panels import Drawing, PanelImages
 from dotsim_ros.view.sheet import strongest_stamps, write_sheet
-from dotsim_ros.view.timeline import (
-    ViewTopics,
-    find_topics,
-    iterate_moments,
-    read_forces,
-    read_stamps,
-)
+from dotsim_ros.view.timeline import Timeline, ViewTopics, open_timeline
 from dotsim_ros.view.video import GIF_WIDTH_PX, Board, usual_rate_hz, write_gif, write_video
 
 LARGEST_GIF_FPS = 12.5
@@ -58,12 +50,6 @@ class ViewRequest:
     rest: Path | None
 
 
-def _rest_m(path: Path | None) -> NDArray[np.float64] | None:
-    if path is None:
-        return None
-    return read_arrays(path, {"rest_position_m": ArrayForm((None, 3))})["rest_position_m"]
-
-
 def _check_length(stamps_ns: NDArray[np.int64], fps: float, speed: float) -> None:
     """Refuse a video that nobody waits for.
 
@@ -80,17 +66,6 @@ def _check_length(stamps_ns: NDArray[np.int64], fps: float, speed: float) -> Non
         )
 
 
-@contextmanager
-def _of_bag(path: Path) -> Iterator[None]:
-    """Put the name of the bag before what is wrong with it."""
-    try:
-        yield
-    except ValueError as error:
-        if str(path) in str(error):
-            raise
-        raise ValueError(f"{path}: {error}") from error
-
-
 def view_bag(request: ViewRequest, warn: Callable[[str], None]) -> list[Path]:
     """Write the files that are asked for and return their paths.
 
@@ -105,68 +80,49 @@ def view_bag(request: ViewRequest, warn: Callable[[str], None]) -> list[Path]:
         ValueError: it cannot be read, is damaged, or shows nothing.
         OSError: a file could not be written; the one before it is left as it was.
     """
-    with BagReader(request.bag, Tolerance.UNFINISHED) as reader:
-        damage = "; ".join(reader.damage)
-        there = reader.topics()
-    if not there:
-        reason = f": {damage}" if damage else ""
-        raise ValueError(f"{request.bag} holds no message that can be read{reason}")
-    if damage:
-        warn(
-            f"{damage}; what comes before is shown (`dotsim_ros record --repair {request.bag}` "
-            "makes a whole bag of it)"
-        )
-    with _of_bag(request.bag):
-        topics = find_topics(there, given=request.topics)
-    stamps = read_stamps(request.bag, topics)
-    stamps_ns = stamps.stamp_ns
-    if stamps.refused_count:
-        warn(f"{stamps.refused_count} messages are not shown: their stamp is no time")
-    if stamps_ns.size == 0:
-        raise ValueError(f"{request.bag} shows nothing: no image, no depth and no skin")
-    fps = request.fps or usual_rate_hz(stamps_ns)
-    if request.formats:
-        _check_length(stamps_ns, fps, request.speed)
-    with _of_bag(request.bag):
-        return _drawn(request, topics, stamps_ns, fps)
-
-
-def _drawn(
-    request: ViewRequest, topics: ViewTopics, stamps_ns: NDArray[np.int64], fps: float
-) -> list[Path]:
-    """Write the files and return their paths."""
-    forces = read_forces(request.bag, topics.wrench)
-    images = PanelImages(iterate_moments(request.bag, topics), rest_m=_rest_m(request.rest))
-    start_ns, end_ns = int(stamps_ns[0]), int(stamps_ns[-1])
-    title = bag_name(request.bag)
-    chosen = set(strongest_stamps(stamps_ns, forces, count=request.column_count))
-    sheet = request.out / f"{title}.png"
-    write_sheet(
-        sheet,
-        (moment for moment in iterate_moments(request.bag, topics) if moment.stamp_ns in chosen),
-        images,
-        forces,
-        start_ns=start_ns,
-        end_ns=end_ns,
-        title=title,
-    )
-    written = [sheet]
-    if request.formats:
-        board = Board(images, forces, start_ns=start_ns, end_ns=end_ns, title=title)
-        with tempfile.TemporaryDirectory() as folder:
-            keeps_video = "mp4" in request.formats
-            video = (request.out if keeps_video else Path(folder)) / f"{title}.mp4"
-            write_video(
-                video,
-                iterate_moments(request.bag, topics),
-                board,
-                fps=fps,
-                speed=request.speed,
+    with open_timeline(request.bag, request.topics) as timeline:
+        if timeline.bag.damage:
+            warn(
+                f"{'; '.join(timeline.bag.damage)}; what comes before is shown (`dotsim_ros record "
+                f"--repair {request.bag}` makes a whole bag of it)"
             )
-            if keeps_video:
-                written.append(video)
-            if "gif" in request.formats:
-                gif = request.out / f"{title}.gif"
-                write_gif(gif, video, fps=min(fps, LARGEST_GIF_FPS), width_px=GIF_WIDTH_PX)
-                written.append(gif)
+        if timeline.refused_count:
+            warn(f"{timeline.refused_count} messages are not shown: their stamp is no time")
+        try:
+            return _drawn(request, timeline)
+        except ValueError as error:
+            if str(request.bag) in str(error):
+                raise
+            raise ValueError(f"{request.bag}: {error}") from error
+
+
+def _drawn(request: ViewRequest, timeline: Timeline) -> list[Path]:
+    """Write the files and return their paths."""
+    stamp_ns, forces = timeline.stamp_ns, timeline.forces
+    fps = request.fps or usual_rate_hz(stamp_ns)
+    if request.formats:
+        _check_length(stamp_ns, fps, request.speed)
+    rest_m = None
+    if request.rest is not None:
+        form = {"rest_position_m": ArrayForm((None, 3))}
+        rest_m = read_arrays(request.rest, form)["rest_position_m"]
+    images = PanelImages(timeline.moments(), rest_m=rest_m)
+    title = bag_name(request.bag)
+    drawing = Drawing(images, forces, int(stamp_ns[0]), int(stamp_ns[-1]), title)
+    chosen = set(strongest_stamps(stamp_ns, forces, count=request.column_count))
+    sheet = request.out / f"{title}.png"
+    write_sheet(sheet, (each for each in timeline.moments() if each.stamp_ns in chosen), drawing)
+    written = [sheet]
+    if not request.formats:
+        return written
+    keeps_video = "mp4" in request.formats
+    with tempfile.TemporaryDirectory() as folder:
+        video = (request.out if keeps_video else Path(folder)) / f"{title}.mp4"
+        write_video(video, timeline.moments(), Board(drawing), fps=fps, speed=request.speed)
+        if keeps_video:
+            written.append(video)
+        if "gif" in request.formats:
+            gif = request.out / f"{title}.gif"
+            write_gif(gif, video, fps=min(fps, LARGEST_GIF_FPS), width_px=GIF_WIDTH_PX)
+            written.append(gif)
     return written

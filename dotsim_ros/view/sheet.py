@@ -8,6 +8,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -17,8 +18,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.io.files import whole_file
 from dotsim_ros.io.printable import boxes_for_missing_glyphs, figure_label
-from dotsim_ros.view.figure import FAINT, INK, STYLE, TITLES, colour_scale, draw_forces
-from dotsim_ros.view.panels import PanelImages
+from dotsim_ros.view.panels import FAINT, INK, STYLE, TITLES, Drawing
 from dotsim_ros.view.timeline import BagMoment, Forces
 
 COLUMN_INCHES = 2.6
@@ -51,39 +51,25 @@ def strongest_stamps(
     return chosen
 
 
-def write_sheet(
-    path: str | Path,
-    moments: Iterable[BagMoment],
-    images: PanelImages,
-    forces: Forces | None,
-    *,
-    start_ns: int,
-    end_ns: int,
-    title: str,
-) -> None:
+def write_sheet(path: str | Path, moments: Iterable[BagMoment], drawing: Drawing) -> None:
     """Write a contact sheet as PNG, whole or not at all.
 
     Args:
         path: the file; replaced where it is there.
         moments: one column each.
-        images: draws the panels.
-        forces: plotted below, or None.
-        start_ns: where the time axis begins.
-        end_ns: where it ends.
-        title: printed above.
+        drawing: of the bag.
     """
-    columns = list(moments)
-    shapes = images.shape_px()
-    heights = [COLUMN_INCHES * shape[0] / shape[1] for shape in shapes.values()]
+    columns, images = list(moments), drawing.images
+    heights = [COLUMN_INCHES * height / width for height, width in images.shape_px.values()]
     size = (COLUMN_INCHES * len(columns) + 1.5, sum(heights) + PLOT_INCHES + 1.3)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, dpi=DOTS_PER_INCH, layout="constrained")
         FigureCanvasAgg(figure)
-        figure.suptitle(figure_label(title, 80), fontsize=13)
+        figure.suptitle(figure_label(drawing.title, 80), fontsize=13)
         grid = figure.add_gridspec(
-            len(shapes) + 1, len(columns), height_ratios=[*heights, PLOT_INCHES]
+            len(heights) + 1, len(columns), height_ratios=[*heights, PLOT_INCHES]
         )
-        for row, name in enumerate(shapes):
+        for row, name in enumerate(images.shape_px):
             row_axes = [figure.add_subplot(grid[row, column]) for column in range(len(columns))]
             for axes, moment in zip(row_axes, columns, strict=True):
                 axes.set_xticks([])
@@ -93,34 +79,28 @@ def write_sheet(
                 if image is not None:
                     axes.imshow(image, interpolation="antialiased")
                 if row == 0:
-                    axes.set_title(_caption(moment, forces, start_ns))
+                    axes.set_title(_caption(moment, drawing))
             # Horizontal: an image may be lower than its label is long.
             row_axes[0].set_ylabel(
                 textwrap.fill(TITLES[name], LABEL_CHARACTERS), rotation=0, ha="right", va="center"
             )
-            scale = colour_scale(name, images.ranges)
+            scale = images.colour_scale(name)
             if scale is not None:
                 figure.colorbar(scale, ax=row_axes, fraction=0.02, pad=0.01)
-        plot = figure.add_subplot(grid[len(shapes), :])
-        draw_forces(plot, forces, start_ns=start_ns, end_ns=end_ns)
+        plot = figure.add_subplot(grid[len(heights), :])
+        drawing.draw_forces(plot)
         for moment in columns:
-            plot.axvline((moment.stamp_ns - start_ns) * 1e-9, color=FAINT, lw=1.0, zorder=0)
-            plot.plot(
-                (moment.stamp_ns - start_ns) * 1e-9,
-                0.0,
-                marker="v",
-                color=INK,
-                transform=plot.get_xaxis_transform(),
-                clip_on=False,
-                markersize=7,
-            )
+            time_s = drawing.time_s(moment)
+            plot.axvline(time_s, color=FAINT, lw=1.0, zorder=0)
+            below: Any = {"transform": plot.get_xaxis_transform(), "clip_on": False}
+            plot.plot(time_s, 0.0, marker="v", color=INK, markersize=7, **below)
         with whole_file(path) as temporary, boxes_for_missing_glyphs():
             # The layout keeps no room for labels that are longer than their axes; this does.
             figure.savefig(temporary, format="png", bbox_inches="tight", pad_inches=0.15)
 
 
-def _caption(moment: BagMoment, forces: Forces | None, start_ns: int) -> str:
-    caption = f"{(moment.stamp_ns - start_ns) * 1e-9:.2f} s"
-    if forces is not None:
-        caption += f"   {np.linalg.norm(forces.at(moment.stamp_ns)):.2f} N"
+def _caption(moment: BagMoment, drawing: Drawing) -> str:
+    caption = f"{drawing.time_s(moment):.2f} s"
+    if drawing.forces is not None:
+        caption += f"   {np.linalg.norm(drawing.forces.at(moment.stamp_ns)):.2f} N"
     return caption

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -121,21 +122,101 @@ class Forces:
         return np.asarray(self.force_n[int(np.argmin(np.abs(self.stamp_ns - stamp_ns)))])
 
 
-def _changed(moment: BagMoment, message: BagMessage, topics: ViewTopics) -> BagMoment:
-    """Return the moment with what a message shows.
+@dataclass(frozen=True)
+class Timeline:
+    """What a bag shows over time; by `open_timeline`.
+
+    Attributes:
+        bag: open.
+        topics: those looked at.
+        stamp_ns: (N,) increasing, those at which `moments` yields.
+        forces: None where it has none.
+        refused_count: messages whose stamp is no time; they are not shown.
+    """
+
+    bag: BagReader
+    topics: ViewTopics
+    stamp_ns: NDArray[np.int64]
+    forces: Forces | None
+    refused_count: int
+
+    def moments(self) -> Iterator[BagMoment]:
+        """Yield what the bag shows, once for each stamp, when all of that stamp has been read.
+
+        Raises:
+            ValueError: the bag breaks off, or a message is malformed.
+        """
+        moment: BagMoment | None = None
+        for message in self.bag.messages(*_visible(self.topics)):
+            stamp_ns = _stamp_ns(message)
+            if stamp_ns is None:
+                continue
+            if moment is None:
+                moment = BagMoment(stamp_ns)
+            elif stamp_ns != moment.stamp_ns:
+                yield moment
+                moment = replace(moment, stamp_ns=stamp_ns)
+            moment = _changed(moment, message, self.topics)
+        if moment is not None:
+            yield moment
+
+
+@contextmanager
+def open_timeline(path: str | Path, given: ViewTopics | None = None) -> Iterator[Timeline]:
+    """Open a bag, whole or not finished, and read the times and the forces that it shows.
+
+    Args:
+        path: of the bag; one that was not finished is read up to its end.
+        given: topics that the user named; the rest is found by how names end.
 
     Raises:
-        ValueError: the message is malformed.
+        FileNotFoundError: no bag at `path`.
+        ValueError: it is no bag that can be read, a force is malformed, or it shows nothing.
     """
-    content = message.message()
-    with _named(message, moment.stamp_ns):
-        if message.topic == topics.image:
-            return replace(moment, image=decode_colour(content))
-        if message.topic == topics.depth:
-            if content.encoding != "32FC1":
-                raise ValueError(f"holds a {content.encoding} image, expected 32FC1")
-            return replace(moment, depth_m=msg_adapters.decode_image(content))
-        return replace(moment, cloud=msg_adapters.decode_cloud(content))
+    with BagReader(path, Tolerance.UNFINISHED) as bag:
+        there = bag.topics()
+        if not there:
+            reason = "; ".join(bag.damage)
+            raise ValueError(
+                f"{path} holds no message that can be read{f': {reason}' if reason else ''}; "
+                "record the bag again"
+            )
+        try:
+            topics = find_topics(there, given=given)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        visible, stamps, refused_count = _visible(topics), set(), 0
+        forces: list[tuple[int, FloatArray]] = []
+        for message in bag.messages(*visible, *([topics.wrench] if topics.wrench else [])):
+            stamp_ns = _stamp_ns(message)
+            if stamp_ns is None:
+                refused_count += 1
+            elif message.topic in visible:
+                stamps.add(stamp_ns)
+            else:
+                forces.append((stamp_ns, _force_n(message, stamp_ns)))
+        if not stamps:
+            raise ValueError(f"{path} shows nothing: no image, no depth and no skin")
+        forces.sort(key=itemgetter(0))
+        times, forces_n = zip(*forces, strict=True) if forces else ((), ())
+        yield Timeline(
+            bag,
+            topics,
+            np.array(sorted(stamps), dtype=np.int64),
+            Forces(np.array(times, dtype=np.int64), np.array(forces_n)) if forces else None,
+            refused_count,
+        )
+
+
+def _visible(topics: ViewTopics) -> list[str]:
+    return [topic for topic in (topics.image, topics.depth, topics.points) if topic is not None]
+
+
+def _stamp_ns(message: BagMessage) -> int | None:
+    try:
+        return msg_adapters.serialized_stamp_ns(message.serialized)
+    except ValueError:
+        return None
 
 
 @contextmanager
@@ -148,103 +229,24 @@ def _named(message: BagMessage, stamp_ns: int) -> Iterator[None]:
         raise ValueError(f"{place}: {error}") from error
 
 
-@dataclass(frozen=True)
-class Stamps:
-    """Times of what a bag shows.
-
-    Attributes:
-        stamp_ns: (N,) increasing, those at which `iterate_moments` yields.
-        refused_count: messages whose stamp is no time; they are not shown.
-        damage: what is wrong with the bag, in words.
-    """
-
-    stamp_ns: NDArray[np.int64]
-    refused_count: int
-    damage: tuple[str, ...]
+def _force_n(message: BagMessage, stamp_ns: int) -> FloatArray:
+    content = message.message()
+    with _named(message, stamp_ns):
+        force_n = msg_adapters.decode_wrench_stamped(content)[0]
+        largest = np.abs(force_n).max()
+        if largest > LARGEST_FORCE_N:
+            raise ValueError(f"a force of {largest:.3g} N, expected at most {LARGEST_FORCE_N:g} N")
+    return force_n
 
 
-def read_stamps(path: str | Path, topics: ViewTopics) -> Stamps:
-    """Return the times of what a bag shows.
-
-    Raises:
-        FileNotFoundError: no bag at `path`.
-        ValueError: it is no bag that can be read.
-    """
-    stamps: set[int] = set()
-    refused_count = 0
-    with BagReader(path, Tolerance.UNFINISHED) as bag:
-        visible = _visible(topics)
-        for message in bag.messages(*visible, *([topics.wrench] if topics.wrench else [])):
-            stamp_ns = _stamp_ns(message)
-            if stamp_ns is None:
-                refused_count += 1
-            elif message.topic in visible:
-                stamps.add(stamp_ns)
-        return Stamps(np.array(sorted(stamps), dtype=np.int64), refused_count, bag.damage)
-
-
-def _stamp_ns(message: BagMessage) -> int | None:
-    try:
-        return msg_adapters.serialized_stamp_ns(message.serialized)
-    except ValueError:
-        return None
-
-
-def _visible(topics: ViewTopics) -> list[str]:
-    return [topic for topic in (topics.image, topics.depth, topics.points) if topic is not None]
-
-
-def iterate_moments(path: str | Path, topics: ViewTopics) -> Iterator[BagMoment]:
-    """Yield what the bag shows, once for each stamp, when all of that stamp has been read.
-
-    A bag that was not finished is read up to its end; messages whose stamp is no time are left out.
-
-    Raises:
-        FileNotFoundError: no bag at `path`.
-        ValueError: it is no bag that can be read, or a message is malformed.
-    """
-    moment: BagMoment | None = None
-    with BagReader(path, Tolerance.UNFINISHED) as bag:
-        for message in bag.messages(*_visible(topics)):
-            stamp_ns = _stamp_ns(message)
-            if stamp_ns is None:
-                continue
-            if moment is None:
-                moment = BagMoment(stamp_ns)
-            elif stamp_ns != moment.stamp_ns:
-                yield moment
-                moment = replace(moment, stamp_ns=stamp_ns)
-            moment = _changed(moment, message, topics)
-    if moment is not None:
-        yield moment
-
-
-def read_forces(path: str | Path, topic: str | None) -> Forces | None:
-    """Return the forces of a bag, or None where it has no such topic.
-
-    Raises:
-        FileNotFoundError: no bag at `path`.
-        ValueError: it is no bag that can be read, or a message is malformed.
-    """
-    if topic is None:
-        return None
-    stamps, forces = [], []
-    with BagReader(path, Tolerance.UNFINISHED) as bag:
-        for bag_message in bag.messages(topic):
-            stamp_ns = _stamp_ns(bag_message)
-            if stamp_ns is None:
-                continue
-            message = bag_message.message()
-            with _named(bag_message, stamp_ns):
-                force_n = msg_adapters.decode_wrench_stamped(message)[0]
-                if np.abs(force_n).max() > LARGEST_FORCE_N:
-                    raise ValueError(
-                        f"a force of {np.abs(force_n).max():.3g} N, expected at most "
-                        f"{LARGEST_FORCE_N:g} N"
-                    )
-            stamps.append(stamp_ns)
-            forces.append(force_n)
-    if not stamps:
-        return None
-    order = np.argsort(stamps, kind="stable")
-    return Forces(np.array(stamps, dtype=np.int64)[order], np.array(forces)[order])
+def _changed(moment: BagMoment, message: BagMessage, topics: ViewTopics) -> BagMoment:
+    """Return the moment with what a message shows."""
+    content = message.message()
+    with _named(message, moment.stamp_ns):
+        if message.topic == topics.image:
+            return replace(moment, image=decode_colour(content))
+        if message.topic == topics.depth:
+            if content.encoding != "32FC1":
+                raise ValueError(f"holds a {content.encoding} image, expected 32FC1")
+            return replace(moment, depth_m=msg_adapters.decode_image(content))
+        return replace(moment, cloud=msg_adapters.decode_cloud(content))

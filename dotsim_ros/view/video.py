@@ -27,9 +27,8 @@ from PIL import Image, ImageDraw, ImageFont
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.files import whole_file
 from dotsim_ros.io.printable import boxes_for_missing_glyphs, figure_label
-from dotsim_ros.view.figure import INK, STYLE, TITLES, colour_scale, draw_forces
-from dotsim_ros.view.panels import PanelImages
-from dotsim_ros.view.timeline import BagMoment, Forces
+from dotsim_ros.view.panels import INK, STYLE, TITLES, Drawing
+from dotsim_ros.view.timeline import BagMoment
 
 PANELS = ("image", "depth", "skin")
 WIDTH_PX, HEIGHT_PX = 1280, 720
@@ -69,35 +68,17 @@ def _places(shapes: dict[str, tuple[int, int]]) -> dict[str, PanelPlace]:
 
 
 class Board:
-    """The part of every frame that stays: titles, colour scales, the force plot.
+    """The part of every frame that stays: titles, colour scales, the force plot."""
 
-    Args:
-        images: draws the panels.
-        forces: plotted below, or None.
-        start_ns: where the time axis begins.
-        end_ns: where it ends.
-        title: printed above the plot.
-    """
-
-    def __init__(
-        self,
-        images: PanelImages,
-        forces: Forces | None,
-        *,
-        start_ns: int,
-        end_ns: int,
-        title: str,
-    ) -> None:
-        self._images = images
-        self._forces = forces
-        self._start_ns = start_ns
-        self._places = _places(images.shape_px())
+    def __init__(self, drawing: Drawing) -> None:
+        self._drawing = drawing
+        self._places = _places(drawing.images.shape_px)
         font = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
         self._font = ImageFont.truetype(str(font), 17)
         with matplotlib.rc_context(STYLE):
-            self._draw(start_ns, end_ns, title)
+            self._draw()
 
-    def _draw(self, start_ns: int, end_ns: int, title: str) -> None:
+    def _draw(self) -> None:
         figure = Figure(
             figsize=(WIDTH_PX / DOTS_PER_INCH, HEIGHT_PX / DOTS_PER_INCH), dpi=DOTS_PER_INCH
         )
@@ -110,7 +91,7 @@ class Board:
                 fontsize=12,
                 va="bottom",
             )
-            scale = colour_scale(name, self._images.ranges)
+            scale = self._drawing.images.colour_scale(name)
             if scale is not None:
                 bar = figure.add_axes(self._box(place.left + place.width + 8, place, 12))
                 figure.colorbar(scale, cax=bar)
@@ -125,11 +106,11 @@ class Board:
                 (HEIGHT_PX - plot_top - 56) / HEIGHT_PX,
             )
         )
-        draw_forces(plot, self._forces, start_ns=start_ns, end_ns=end_ns)
+        self._drawing.draw_forces(plot)
         figure.text(
             1.0 - 2 * MARGIN_PX / WIDTH_PX,
             1.0 - 8 / HEIGHT_PX,
-            figure_label(title, 80),
+            figure_label(self._drawing.title, 80),
             fontsize=11,
             ha="right",
             va="top",
@@ -156,7 +137,7 @@ class Board:
         """Return the (720, 1280, 3) uint8 RGB frame of a moment."""
         frame = self._background.copy()
         for name, place in self._places.items():
-            image = self._images.panel(name, moment)
+            image = self._drawing.images.panel(name, moment)
             if image is None:
                 continue
             shrinks = image.shape[1] > place.width
@@ -167,7 +148,7 @@ class Board:
                     interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR,
                 )
             )
-        time_s = (moment.stamp_ns - self._start_ns) * 1e-9
+        time_s = self._drawing.time_s(moment)
         left, right = self._plot_columns
         column = round(left + (right - left) * min(1.0, time_s / self._duration_s))
         top, bottom = self._plot_rows
@@ -176,8 +157,8 @@ class Board:
 
     def _captioned(self, frame: ImageArray, moment: BagMoment, time_s: float) -> ImageArray:
         caption = f"{time_s:6.2f} s"
-        if self._forces is not None:
-            x, y, z = self._forces.at(moment.stamp_ns)
+        if self._drawing.forces is not None:
+            x, y, z = self._drawing.forces.at(moment.stamp_ns)
             caption += f"     F = ({x:+.2f}, {y:+.2f}, {z:+.2f}) N"
         strip = Image.fromarray(frame[self._text_top : self._text_top + 26, :640].copy())
         ImageDraw.Draw(strip).text((80, 0), caption, font=self._font, fill=INK)

@@ -17,7 +17,7 @@ from dotsim_ros.io.arrays import BoolArray, ImageArray
 from dotsim_ros.io.files import whole_file
 from dotsim_ros.io.printable import boxes_for_missing_glyphs, figure_label
 from dotsim_ros.twin.image_metrics import score_image
-from dotsim_ros.view.figure import STYLE
+from dotsim_ros.view.panels import STYLE
 from studies.optics.rows import Row, RowMaker
 from studies.optics.split import FrameKey
 

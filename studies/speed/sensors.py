@@ -24,7 +24,7 @@ from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import EXACT, REALTIME
 from dotsim_ros.sensor import FRAME_S
 from dotsim_ros.specification import SensorSpecification, load_sensor
-from dotsim_ros.view.frame_rate import motion, warm_sensor
+from dotsim_ros.view.sensors import motion, warm_sensor
 from studies.run import expect_positive
 from studies.timing import percentiles_ms
 

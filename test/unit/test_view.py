@@ -22,7 +22,7 @@ from dotsim_ros.data.bag import BAG_TYPES, BagFile, BagReader
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.view.sheet import strongest_stamps
 from dotsim_ros.view.skin_map import SkinMap
-from dotsim_ros.view.timeline import BagMoment, Forces, ViewTopics, find_topics, iterate_moments
+from dotsim_ros.view.timeline import BagMoment, Forces, ViewTopics, find_topics, open_timeline
 from dotsim_ros.view.video import paced, write_gif
 
 PERIOD_NS = 40_000_000
@@ -407,9 +407,9 @@ def test_topics_are_found_by_their_ends():
 
 
 def test_moments_hold_all_of_one_stamp(bag):
-    moments = list(
-        iterate_moments(bag, ViewTopics("/image_raw", "/depth/image", "/points", "/wrench"))
-    )
+    with open_timeline(bag) as timeline:
+        moments = list(timeline.moments())
+    assert timeline.topics == ViewTopics("/image_raw", "/depth/image", "/points", "/wrench")
     assert [moment.stamp_ns for moment in moments] == [
         10**9 + index * PERIOD_NS for index in range(COUNT)
     ]
