@@ -11,7 +11,7 @@ of the time, so the skins are kept on disk, under a key of everything that they 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +37,7 @@ from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError, follow
+from dotsim_ros.twin.simulator import base_in_data_m, seen_from
 
 Progress = Callable[[str], None]
 UntouchedCheck = Callable[[ImageArray, Iterable[tuple[str, ImageArray]]], None]
@@ -135,12 +136,14 @@ class FilmedData:
         presses: in the order asked for.
         fine: (2 H - 1, 2 W - 1, 3) uint8, the idle image with samples half-way between its own;
             None where they are not known.
+        base_m: (3,) where the sensor's base lies in the data set's base frame.
     """
 
     skin: SkinMesh
     idle: ImageArray
     presses: tuple[FilmedPress, ...]
     fine: ImageArray | None = None
+    base_m: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 def _ignore(_line: str) -> None:
@@ -179,8 +182,12 @@ def read_filmed_data(
     say = progress or _ignore
     idle = _read_idle(data_set)
     entries = _entries(data_set, presses)
-    footage = [read_press_images(entry, idle=idle, topics=topics) for entry in entries]
-    frame_count = sum(one.press.frame_count for one in footage)
+    base_m = base_in_data_m(sensor, data_set)
+    footage = []
+    for entry in entries:
+        one = read_press_images(entry, idle=idle, topics=topics)
+        footage.append((seen_from(one.press, base_m), one.pixels))
+    frame_count = sum(press.frame_count for press, _ in footage)
     if frame_count < LEAST_FRAMES:
         raise ValueError(
             f"{data_set.directory}: {frame_count} frames with images in "
@@ -192,27 +199,24 @@ def read_filmed_data(
     check(
         idle,
         [
-            (f"{one.press.name}, frame {frame}", one.pixels[frame])
-            for one in footage
-            for frame in _untouched_frames(one.press, indenters[one.press.indenter], skin)
+            (f"{press.name}, frame {frame}", pixels[frame])
+            for press, pixels in footage
+            for frame in _untouched_frames(press, indenters[press.indenter], skin)
         ],
     )
     skin_of_press = SkinFollower(sensor, skin, cache or cache_directory() / "skins", say)
-    return FilmedData(
-        skin,
-        idle,
-        tuple(
-            FilmedPress(
-                one.press.name,
-                one.press.indenter,
-                tip_depth_m(skin, one.press.poses),
-                one.pixels,
-                skin_of_press(one.press, indenters[one.press.indenter]),
-                one.press.stamp_s,
-            )
-            for one in footage
-        ),
+    filmed = tuple(
+        FilmedPress(
+            press.name,
+            press.indenter,
+            tip_depth_m(skin, press.poses),
+            pixels,
+            skin_of_press(press, indenters[press.indenter]),
+            press.stamp_s,
+        )
+        for press, pixels in footage
     )
+    return FilmedData(skin, idle, filmed, base_m=base_m)
 
 
 def with_measured_skin(
@@ -230,7 +234,7 @@ def with_measured_skin(
             the images.
     """
     data_set = read_data_set(directory)
-    skin = data_set.skin_mesh()
+    skin, base_m = data_set.skin_mesh(), filmed.base_m
     bags = {entry.name: entry.bag for entry in data_set.entries}
     presses = []
     for press in filmed.presses:
@@ -243,8 +247,10 @@ def with_measured_skin(
             raise ValueError(
                 f"{bags[press.name]}: the skin was measured at other times than the images"
             )
-        presses.append(replace(press, skin_position_m=measured.position_m))
-    return FilmedData(skin, filmed.idle, tuple(presses))
+        position_m = (measured.position_m - base_m).astype(np.float32)
+        presses.append(replace(press, skin_position_m=position_m))
+    skin = replace(skin, rest_position_m=skin.rest_position_m - base_m)
+    return FilmedData(skin, filmed.idle, tuple(presses), base_m=base_m)
 
 
 def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> Camera:

@@ -16,16 +16,19 @@ from functools import cached_property
 
 import numpy as np
 
+from dotsim_ros.data.data_set import DataSet
+from dotsim_ros.data.plausibility import check_same_shape
+from dotsim_ros.data.presses import Press
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.implicit.refinement import Refinement, refine
 from dotsim_ros.gel.implicit.tangent import inverse_at_rest
-from dotsim_ros.gel.make import body_of, bond_of, material_of
+from dotsim_ros.gel.make import body_of, bond_of, material_of, skin_of
 from dotsim_ros.gel.material import NeoHookean, PronySeries
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
-from dotsim_ros.gel.values import GelValues, specification_with
+from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, quaternion_product
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -105,6 +108,29 @@ def raised_m(body: Body, skin: SkinMesh, thickness_m: float) -> FloatArray:
     if not isinstance(body, Pad):
         return np.zeros(3)
     return np.array([0.0, 0.0, _face_height_m(body, skin) - thickness_m])
+
+
+def base_in_data_m(sensor: SensorSpecification, data_set: DataSet) -> FloatArray:
+    """Return where (3,) the base of a sensor lies in the base frame of a data set.
+
+    The file of a pad that was found thinner has its face, and its camera, lower than its data.
+
+    Raises:
+        ValueError: the skin of the data set is not that of the sensor.
+    """
+    if sensor.gel.shape == "dome" or not data_set.has_skin_mesh:
+        return np.zeros(3)
+    skin = data_set.skin_mesh()
+    check_same_shape(skin, skin_of(sensor.gel), data=str(data_set.directory), sensor=sensor.name)
+    return raised_m(body_of(sensor.gel), skin, values_of(sensor).thickness_m)
+
+
+def seen_from(press: Press, base_m: FloatArray) -> Press:
+    """Return a press with its poses (no skin) seen from a base at `base_m`."""
+    if not base_m.any():
+        return press
+    poses = [Pose(pose.position_m - base_m, pose.quaternion_xyzw) for pose in press.poses]
+    return replace(press, poses=poses)
 
 
 def tables_of(poisson_ratio: float) -> tuple[tuple[int, float], ...]:

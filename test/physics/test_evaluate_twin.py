@@ -17,6 +17,7 @@ import pytest
 from dotsim_ros.cli.main import main
 from dotsim_ros.data.data_set_writer import trajectory_of_frames, write_data_set
 from dotsim_ros.data.trajectory import Trajectory
+from dotsim_ros.gap.images.reading import read_images
 from dotsim_ros.geometry.indenter import Indenter, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import vertex_normals
@@ -28,6 +29,7 @@ from dotsim_ros.specification import (
     SolverSpecification,
     write_sensor,
 )
+from dotsim_ros.twin.footage import read_filmed_data, with_measured_skin
 
 PAD = SensorSpecification(
     name="coarse_pad",
@@ -141,7 +143,7 @@ def test_errors_are_zero_on_own_recordings_and_right_on_recordings_that_are_off(
     assert "off_0, frame" in (tmp_path / "report.md").read_text()
 
 
-def test_a_pad_is_judged_where_the_face_of_its_data_is(tmp_path: Path) -> None:
+def test_a_pad_is_pressed_where_the_face_of_its_data_is(tmp_path: Path) -> None:
     raised_m = np.array([0.0, 0.0, 0.4e-3])
     true = recorded(PAD, BALL, "raised_0")
     assert true.pose is not None
@@ -151,14 +153,33 @@ def test_a_pad_is_judged_where_the_face_of_its_data_is(tmp_path: Path) -> None:
         pose=replace(true.pose, position_m=true.pose.position_m + raised_m),
         skin=replace(true.skin, position_m=np.float32(true.skin.position_m + raised_m)),
     )
-    skin = TactileSensor(PAD, indenter=BALL).skin
-    skin = replace(skin, rest_position_m=skin.rest_position_m + raised_m * ~skin.on_base[:, None])
-    write_data_set(tmp_path / "data", [(raised, BALL)], skin=skin)
+    sensor = TactileSensor(PAD, indenter=BALL)
+    skin, data = sensor.skin, tmp_path / "data"
+    position_m = skin.rest_position_m + raised_m * ~skin.on_base[:, None]
+    write_data_set(
+        data,
+        [(raised, BALL), (replace(raised, name="raised_1"), BALL)],
+        skin=replace(skin, rest_position_m=position_m),
+        idle_images=[sensor.idle_image],
+    )
     write_sensor(tmp_path / "pad.yaml", PAD, "coarse")
-    found = evaluated(tmp_path / "data", tmp_path / "out", ["raised_0"])["all"]
+    found = evaluated(data, tmp_path / "out", ["raised_0"])["all"]
     assert found["image"]["psnr_db"] > 60.0
     assert found["force"]["normal_share"] < 0.01
     assert found["skin"]["largest_mm"] < 0.01
+
+    # So it is where a camera is fitted, a network is trained, and images are searched.
+    filmed = read_filmed_data(data, PAD, cache=tmp_path / "skins")
+    np.testing.assert_allclose(filmed.presses[0].skin_position_m, true.skin.position_m, atol=1e-5)
+    measured = with_measured_skin(filmed, data)
+    np.testing.assert_allclose(measured.presses[1].skin_position_m, true.skin.position_m, atol=1e-8)
+    free = ~skin.on_base
+    np.testing.assert_allclose(
+        measured.skin.rest_position_m[free], skin.rest_position_m[free], atol=1e-8
+    )
+    seen = read_images(data, sensor=PAD).trajectories[0].recording.press
+    heights_m = [pose.position_m[2] for pose in seen.poses]
+    np.testing.assert_allclose(heights_m, true.pose.position_m[:, 2], atol=1e-12)
 
 
 @pytest.mark.parametrize("channel", ["force", "image"])

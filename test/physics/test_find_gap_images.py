@@ -135,8 +135,9 @@ def _with_images(data: Path, images: Callable[[str, int], np.ndarray]) -> Measur
         write_trajectory(folder / name, replace(trajectory, image=ImageChannel(stamps, pixels)))
         entry.update(bag=f"filmed/{name}", images=True)
     (data / "dataset.yaml").write_text(yaml.safe_dump(index), encoding="utf-8")
-    skin = dome_skin(load_sensor("sensor_a").gel.outer_radius_m, SKIN_SPACING_M)
-    return read_images(data, skin=skin, indenters=data / "indenters")
+    sensor = load_sensor("sensor_a")
+    sensor = replace(sensor, gel=replace(sensor.gel, skin_spacing_m=SKIN_SPACING_M))
+    return read_images(data, sensor=sensor, indenters=data / "indenters")
 
 
 def searched(

@@ -97,7 +97,7 @@ def test_a_trajectory_that_is_left_out_took_its_time(tmp_path: Path) -> None:
     measurement = read_measurement(data, own_skin=SKIN)
     assert [r.name for r in measurement.recordings] == ["press_0", "press_2"]
     assert [r.session_s for r in measurement.recordings] == pytest.approx([0.0, 4.0])
-    images = read_images(data, skin=SKIN)
+    images = read_images(data, sensor=SENSOR)
     starts_s = [one.recording.session_s for one in images.trajectories]
     assert starts_s == pytest.approx([0.0, 2.0, 4.0])
 

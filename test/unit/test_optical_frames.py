@@ -214,13 +214,13 @@ def test_bag_without_images_is_refused(data_set, sensor, cache):
 
 def test_bag_without_poses_is_refused(data_set, sensor, cache):
     add_press(data_set, "loose", [pattern(3)], with_pose=False)
-    with pytest.raises(ValueError, match="loose holds no pose on /indenter/pose"):
+    with pytest.raises(ValueError, match="loose: no message on /indenter/pose"):
         read(data_set, sensor, cache)
 
 
 def test_images_of_another_size_are_refused(data_set, sensor, cache):
     add_press(data_set, "large", [np.zeros((2 * HEIGHT, 2 * WIDTH, 3), np.uint8)])
-    with pytest.raises(ValueError, match="large: images are 160x120, but the idle images 80x60"):
+    with pytest.raises(ValueError, match="it is 160x120, but the idle images 80x60"):
         read(data_set, sensor, cache)
 
 

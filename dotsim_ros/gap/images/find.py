@@ -213,12 +213,12 @@ def _images_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:
     Raises:
         FileNotFoundError, ValueError: as `read_images`; or images of another unit.
     """
-    skin = skin_of(request.sensor.gel)
-    images = read_images(request.measured, skin=skin, indenters=request.indenters)
+    twin = request.sensor
+    images = read_images(request.measured, sensor=twin, indenters=request.indenters)
     height, width = images.idle_images.shape[1:3]
     idle, owner = None, f"the idle frame of {request.sensor.name}"
     if request.reference is not None:
-        reference = read_images(request.reference, skin=skin, indenters=request.indenters)
+        reference = read_images(request.reference, sensor=twin, indenters=request.indenters)
         idle, owner = reference.idle, "that of the reference"
         check_same_unit(idle, images.idle, owner=owner)
     camera = request.sensor.camera

@@ -18,8 +18,8 @@ from dotsim_ros.data.data_set import find_indenter, read_data_set
 from dotsim_ros.data.reading import read_press_images, starts_in_session
 from dotsim_ros.data.recording import Recording, Span, recording_of
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
-from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.specification import SensorSpecification
 
 MOST_IMAGES = 300
 """Most images of a data set that are used; trajectories are thinned evenly to this number."""
@@ -87,7 +87,7 @@ def holds_images(directory: str | Path) -> tuple[bool, bool]:
 def read_images(
     directory: str | Path,
     *,
-    skin: SkinMesh,
+    sensor: SensorSpecification,
     indenters: str | Path | None = None,
     names: Sequence[str] | None = None,
     topics: Topics = MEASURED_TOPICS,
@@ -96,7 +96,7 @@ def read_images(
 
     Args:
         directory: the folder that holds dataset.yaml.
-        skin: of the twin, at rest.
+        sensor: the twin.
         indenters: folder of the indenters' meshes; None as `find_indenter`.
         names: of the trajectories to read; None for all with images.
         topics: where the channels lie.
@@ -106,9 +106,12 @@ def read_images(
         ValueError: no idle image, one that shows a contact, or no trajectory with images.
     """
     # Loaded on use: they start Warp.
+    from dotsim_ros.gel.make import skin_of
     from dotsim_ros.optics.idle_check import mean_idle_image, read_idle_images
+    from dotsim_ros.twin.simulator import base_in_data_m, seen_from
 
     data_set = read_data_set(directory)
+    skin, base_m = skin_of(sensor.gel), base_in_data_m(sensor, data_set)
     paths = data_set.idle_images()
     idle_images = read_idle_images(paths)
     mean_idle_image(idle_images, paths)
@@ -123,7 +126,7 @@ def read_images(
             one = read_press_images(entry, idle=idle_images[0], topics=topics, most=most)
             indenter = find_indenter(data_set, entry.indenter, indenters)
             spans_s[entry.name] = one.span_s
-            recording = recording_of(one.press, indenter, skin, one.delay_s)
+            recording = recording_of(seen_from(one.press, base_m), indenter, skin, one.delay_s)
             found[entry.name] = ImageTrajectory(recording, one.pixels)
             digest.update(one.pixels.tobytes())
         except (FileNotFoundError, ValueError) as error:
