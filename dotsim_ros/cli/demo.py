@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
-    from dotsim_ros.data.bag_hash import bag_sha256
+    from dotsim_ros.data.bag import bag_sha256
     from dotsim_ros.io.progress import PrintedProgress
     from dotsim_ros.nodes.common.processes import NodeProcess
     from dotsim_ros.nodes.common.transport import stay_local

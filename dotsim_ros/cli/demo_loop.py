@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.control.policy.demonstration import contact_of
     from dotsim_ros.control.policy.paths import reference_path
     from dotsim_ros.control.policy.rollout import APPROACH_S
-    from dotsim_ros.data.bag_hash import bag_sha256
+    from dotsim_ros.data.bag import bag_sha256
     from dotsim_ros.geometry.indenter import load_indenter
     from dotsim_ros.io.files import beside, write_json
     from dotsim_ros.io.page import write_page

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import tempfile
@@ -22,11 +23,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from dotsim_ros.data.bag_metadata import (
     METADATA,
-    BagMetadata,
-    TopicCount,
-    metadata_text,
-    read_metadata,
-    summary_text,
+    bag_information,
+    metadata_texts,
+    read_mcap_names,
 )
 from dotsim_ros.data.mcap.reader import McapFile, Tolerance
 from dotsim_ros.data.mcap.records import DamagedError
@@ -224,11 +223,17 @@ class BagFile:
         """
         self._writer.flush()
         self._is_ended = True
-        metadata = self._metadata()
-        self._writer.finish({"rosbag2": {"serialized_metadata": summary_text(metadata)}})
+        statistics = self._writer.statistics
+        topics = [
+            (topic, kind, self._type_hashes[topic], self.written[topic])
+            for topic, kind in self._types.items()
+        ]
+        times_ns = statistics.message_start_time, statistics.message_end_time
+        metadata, summary = metadata_texts(bag_information(self._file_name, *times_ns, topics))
+        self._writer.finish({"rosbag2": {"serialized_metadata": summary}})
         with self._reserved as stream:
             stream.seek(0)
-            stream.write(metadata_text(metadata).encode())
+            stream.write(metadata.encode())
             stream.truncate()
         os.rename(self._reserved.name, self.folder / METADATA)
         if self.path.exists():
@@ -242,17 +247,6 @@ class BagFile:
         self._writer.close()
         self._reserved.close()
         shutil.rmtree(self.folder, ignore_errors=True)
-
-    def _metadata(self) -> BagMetadata:
-        return BagMetadata(
-            files=(self._file_name,),
-            first_ns=self._writer.statistics.message_start_time,
-            last_ns=self._writer.statistics.message_end_time,
-            topics=tuple(
-                TopicCount(topic, kind, self._type_hashes[topic], self.written[topic])
-                for topic, kind in self._types.items()
-            ),
-        )
 
 
 @dataclass(frozen=True)
@@ -389,7 +383,7 @@ class BagReader:
             return [self.path] if self.path.suffix == ".mcap" else []
         there = sorted(self.path.glob("*.mcap"))
         try:
-            metadata = read_metadata(self.path)
+            names = read_mcap_names(self.path)
         except (ValueError, OSError) as error:
             if not there:
                 raise ValueError(self._no_bag(error)) from error
@@ -397,9 +391,7 @@ class BagReader:
                 raise ValueError(f"{error}; {self._advice()}") from error
             self._damage.append(str(error).removeprefix(f"{self.path}/"))
             return there
-        if metadata.storage != "mcap" or metadata.is_compressed:
-            return []
-        files = [self.path / name for name in metadata.files]
+        files = [self.path / name for name in names]
         missing = [file.name for file in files if not file.is_file()]
         if missing:
             words = f"{METADATA} names {', '.join(missing)}, which is not there"
@@ -473,3 +465,17 @@ class BagReader:
 
     def _advice(self) -> str:
         return f"`dotsim_ros record --repair {self.path}` makes a bag of what can be read"
+
+
+def bag_sha256(path: str | Path) -> str:
+    """Return a hash of the topics, times and serialised messages of a bag, in their order.
+
+    Raises:
+        OSError, ValueError: as `BagReader`.
+    """
+    digest = hashlib.sha256()
+    with BagReader(path) as bag:
+        for each in bag.messages(*bag.topics()):
+            head = f"{each.topic} {each.log_time_ns} {len(each.serialized)}\n"
+            digest.update(head.encode() + each.serialized)
+    return digest.hexdigest()

@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,104 +18,61 @@ BAG_VERSION = 9
 _ROOT = "rosbag2_bagfile_information"
 
 
-@dataclass(frozen=True)
-class TopicCount:
-    """A topic of a bag.
+def bag_information(
+    file_name: str, first_ns: int, last_ns: int, topics: Sequence[tuple[str, str, str, int]]
+) -> dict[str, Any]:
+    """Return what metadata.yaml of a bag says.
 
-    Attributes:
-        name: the topic.
-        kind: type of its messages.
-        type_hash: of the type's definition, REP-2011; empty where it is not known.
-        message_count: how many messages.
-    """
-
-    name: str
-    kind: str
-    type_hash: str
-    message_count: int
-
-
-@dataclass(frozen=True)
-class BagMetadata:
-    """What metadata.yaml of a bag that is written says.
-
-    Attributes:
-        files: names of its files.
+    Args:
+        file_name: of its mcap file.
         first_ns, last_ns: log times; 0 without messages.
-        topics: those declared.
+        topics: name, type, hash of the type (REP 2011; empty where it is not known) and number of
+            messages of each.
     """
 
-    files: tuple[str, ...]
-    first_ns: int
-    last_ns: int
-    topics: tuple[TopicCount, ...]
+    def span() -> dict[str, Any]:
+        # Recreated for each use: YAML would write what it meets twice as an alias.
+        return {
+            "starting_time": {"nanoseconds_since_epoch": first_ns},
+            "duration": {"nanoseconds": last_ns - first_ns},
+            "message_count": sum(count for *_, count in topics),
+        }
 
-
-@dataclass(frozen=True)
-class BagStorage:
-    """Where the messages of a bag lie.
-
-    Attributes:
-        storage: "mcap" or "sqlite3".
-        files: names of its files.
-        is_compressed: whole files or messages are compressed, next to what mcap does itself.
-    """
-
-    storage: str
-    files: tuple[str, ...]
-    is_compressed: bool
-
-
-def metadata_text(metadata: BagMetadata) -> str:
-    """Return metadata.yaml."""
-    return yaml.safe_dump({_ROOT: _information(metadata)}, sort_keys=False)
-
-
-def summary_text(metadata: BagMetadata) -> str:
-    """Return what an mcap file holds of it."""
-    return yaml.safe_dump(_information(metadata), sort_keys=False)
-
-
-def _information(metadata: BagMetadata) -> Mapping[str, Any]:
-    message_count = sum(topic.message_count for topic in metadata.topics)
-    span = {
-        "starting_time": {"nanoseconds_since_epoch": metadata.first_ns},
-        "duration": {"nanoseconds": metadata.last_ns - metadata.first_ns},
-        "message_count": message_count,
-    }
     return {
         "version": BAG_VERSION,
         "storage_identifier": "mcap",
-        **_copy(span),
+        **span(),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.kind,
+                    "name": name,
+                    "type": kind,
                     "serialization_format": "cdr",
                     "offered_qos_profiles": [],
-                    "type_description_hash": topic.type_hash,
+                    "type_description_hash": type_hash,
                 },
-                "message_count": topic.message_count,
+                "message_count": count,
             }
-            for topic in metadata.topics
+            for name, kind, type_hash, count in topics
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": list(metadata.files),
-        "files": [{"path": name, **_copy(span)} for name in metadata.files],
+        "relative_file_paths": [file_name],
+        "files": [{"path": file_name, **span()}],
         "custom_data": None,
         "ros_distro": "jazzy",
     }
 
 
-def _copy(span: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a copy, since YAML would write what it meets twice as an alias."""
-    return {name: dict(value) if isinstance(value, dict) else value for name, value in span.items()}
+def metadata_texts(information: dict[str, Any]) -> tuple[str, str]:
+    """Return metadata.yaml, and what an mcap file holds of it."""
+    whole = yaml.safe_dump({_ROOT: information}, sort_keys=False)
+    return whole, yaml.safe_dump(information, sort_keys=False)
 
 
-def read_metadata(folder: Path) -> BagStorage:
-    """Read where the messages of a bag lie.
+def read_mcap_names(folder: Path) -> tuple[str, ...]:
+    """Return the names of a bag's mcap files; none where it is in sqlite3, or where whole files or
+    messages are compressed next to what mcap does itself.
 
     Raises:
         FileNotFoundError: no metadata.yaml.
@@ -136,10 +92,8 @@ def read_metadata(folder: Path) -> BagStorage:
         )
     files = information.get("relative_file_paths")
     is_list = isinstance(files, list) and all(isinstance(name, str) for name in files)
-    if not is_list or not files:
+    names = [Path(name).name for name in files] if is_list else []
+    if not names or any(name in ("", "..") or "\0" in name for name in names):
         raise ValueError(f"{path}: relative_file_paths names no file")
     mode = str(information.get("compression_mode") or "none").lower()
-    names = [Path(name).name for name in files]
-    if not all(names) or any(name == ".." or "\0" in name for name in names):
-        raise ValueError(f"{path}: relative_file_paths names no file")
-    return BagStorage(storage, tuple(names), mode not in ("none", "storage"))
+    return tuple(names) if storage == "mcap" and mode in ("none", "storage") else ()

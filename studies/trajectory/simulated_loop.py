@@ -23,7 +23,7 @@ import numpy as np
 
 from dotsim_ros.control.loop.judge import judge, trial_start
 from dotsim_ros.control.policy.paths import PATHS, DomeContact, reference_path
-from dotsim_ros.data.bag_hash import bag_sha256
+from dotsim_ros.data.bag import bag_sha256
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopFault, LoopSetup, TimedFault

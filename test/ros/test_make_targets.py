@@ -55,7 +55,7 @@ def test_live_serves_its_page_to_this_machine_alone_until_it_is_interrupted(
 
 
 def test_demo_loop_leaves_a_bag_a_picture_and_a_report(tmp_path: Path) -> None:
-    from dotsim_ros.data.bag_hash import bag_sha256
+    from dotsim_ros.data.bag import bag_sha256
 
     demo = made("demo-loop", tmp_path, "--path", "line", "--laps", "0.02")
     try:

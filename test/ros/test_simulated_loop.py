@@ -17,7 +17,7 @@ from harness import Executable
 
 from dotsim_ros.control.loop.judge import judge, trial_start
 from dotsim_ros.control.policy.paths import DomeContact, reference_path
-from dotsim_ros.data.bag_hash import bag_sha256
+from dotsim_ros.data.bag import bag_sha256
 from dotsim_ros.nodes.loop.closed_loop import (
     ARM,
     POLICY,
