@@ -12,12 +12,14 @@ white balance, its exposure) is taken off first, as the median of the difference
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
+from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 
 SEARCH_WIDTH_PX = 160
 """Width of the image in which the place is searched."""
@@ -32,6 +34,8 @@ SECOND_SHARE = 0.5
 """A second disc that stands out by this share of the first is a second contact."""
 PROFILE_REACH = 1.9
 """The radius is looked for up to this multiple of the disc's."""
+CONTACT_REACH = 1.5
+"""Radius of the region around a contact in which models are judged, over the circle's."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,34 @@ class ContactCircle:
         """Return whether a part of the circle is outside the frame."""
         far = np.array([width - 1, height - 1]) - self.centre_px
         return bool(min(self.centre_px.min(), far.min()) < self.radius_px)
+
+
+@dataclass(frozen=True)
+class BallPress:
+    """One photograph of the ball.
+
+    Attributes:
+        name: of the file.
+        centre_px: (2,) centre of the circle of contact, x then y.
+        radius_px: its radius.
+        image: (H, W, 3) uint8, red, green, blue.
+    """
+
+    name: str
+    centre_px: FloatArray
+    radius_px: float
+    image: ImageArray
+
+    def within(self, reach: float) -> BoolArray:
+        """Return (H, W) the pixels within so many radii of the circle's centre."""
+        height, width = self.image.shape[:2]
+        x, y = np.meshgrid(np.arange(width), np.arange(height))
+        distance = np.hypot(x - self.centre_px[0], y - self.centre_px[1])
+        return np.asarray(distance < reach * self.radius_px)
+
+    def near_contact(self) -> BoolArray:
+        """Return (H, W) the pixels within one and a half radii of the circle's centre."""
+        return self.within(CONTACT_REACH)
 
 
 def colour_difference(image: ImageArray, idle: ImageArray, blur_px: float) -> Float32Array:
@@ -102,6 +134,32 @@ def find_contact_circles(image: ImageArray, idle: ImageArray) -> list[ContactCir
         taken = np.hypot(x - place[0], y - place[1]) < 3.0 * radius
         contrasts[:, taken] = 0.0
     return found
+
+
+def one_contact(path: Path, found: Sequence[ContactCircle]) -> ContactCircle:
+    """Return the only contact of a photograph.
+
+    Raises:
+        ValueError: there is none, or a second one.
+    """
+    if not found:
+        raise ValueError(
+            f"{path} shows no ball: it differs from the idle photograph nowhere by a disc; leave "
+            "it out, or press deeper"
+        )
+    if len(found) > 1:
+        places = " and ".join(place_of(circle) for circle in found[:2])
+        raise ValueError(
+            f"{path} shows two contacts, at {places}; expected one ball alone: leave it out, or "
+            "take it again"
+        )
+    return found[0]
+
+
+def place_of(circle: ContactCircle) -> str:
+    """Return the middle of a circle, for messages."""
+    x, y = np.rint(circle.centre_px).astype(int)
+    return f"pixel ({x}, {y})"
 
 
 def _contrasts(small: Float32Array) -> tuple[Float32Array, FloatArray]:

@@ -73,14 +73,7 @@ class DataSetEntry:
 
 @dataclass(frozen=True)
 class WeightEntry:
-    """A recording of the force gauge under a known weight.
-
-    Attributes:
-        name: the bag's name.
-        bag: its folder.
-        known_force_n: what the gauge carries.
-        tolerance: one deviation of that, as a share of it.
-    """
+    """A recording of the force gauge under a known weight, with one deviation of it as a share."""
 
     name: str
     bag: Path
@@ -130,10 +123,9 @@ class DataSet:
                 "0.001"
             )
         try:
-            mesh = skin_of_triangles(position, arrays["triangles"])
+            return replace(skin_of_triangles(position, arrays["triangles"]), on_base=on_base)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
-        return replace(mesh, on_base=on_base)
 
     def named(self, names: Sequence[str]) -> tuple[DataSetEntry, ...]:
         """Return the trajectories of some names, in their order.
@@ -176,10 +168,10 @@ class DataSet:
             own = self.directory / "indenters"
             beside = sorted(self.directory.resolve().parent.glob("*/indenters"))
             places = [own, *(place for place in beside if place != own.resolve())]
-        for place in places:
-            for suffix in INDENTER_SUFFIXES:
-                if (place / f"{indenter}{suffix}").is_file():
-                    return place / f"{indenter}{suffix}"
+        files = [place / f"{indenter}{suffix}" for place in places for suffix in INDENTER_SUFFIXES]
+        found = next((file for file in files if file.is_file()), None)
+        if found is not None:
+            return found
         first, *others = places
         names = [path.stem for path in indenter_files(first)]
         known = ", ".join(names) or "no indenter"
@@ -205,32 +197,28 @@ def _bag(directory: Path, record: Any, place: str) -> Path:
         )
     bag = directory / expanded(record["bag"])
     # A name of NUL characters, or of 5,000, is no path that can be asked for.
-    is_there = False
     with suppress(ValueError, OSError):
-        is_there = bag.exists()
-    if not is_there:
-        raise FileNotFoundError(f"{place}: there is no bag {value_text(record['bag'])}")
-    return bag
+        if bag.exists():
+            return bag
+    raise FileNotFoundError(f"{place}: there is no bag {value_text(record['bag'])}")
 
 
-def _entry(directory: Path, index: int, record: Any, base_frame: str) -> DataSetEntry:
-    place = f"{directory / INDEX}, trajectory {index}"
+def _entry(directory: Path, record: Any, base_frame: str, place: str) -> DataSetEntry:
     bag = _bag(directory, record, place)
-    frames = record.get("frames", 0)
+    frames, indenter = record.get("frames", 0), record.get("indenter", "")
     if isinstance(frames, bool) or not isinstance(frames, int) or frames < 0:
         raise ValueError(f"{place}: frames must be a whole number, got {value_text(frames)}")
-    return DataSetEntry(
-        name=bag.name,
-        bag=bag,
-        indenter=_indenter_name(record.get("indenter", ""), f"{place}: indenter"),
-        frame_count=frames,
-        has_images=bool(record.get("images", False)),
-        base_frame=base_frame,
-    )
+    is_name = isinstance(indenter, str) and Path(indenter).name == indenter
+    if not is_name or not indenter.isprintable() or len(indenter) > LONGEST_NAME:
+        raise ValueError(
+            f"{place}: indenter is {value_text(indenter)}, expected the name of a mesh in "
+            "indenters/, without .stl, or a definition such as 'sphere(radius_m=0.004)'"
+        )
+    has_images = bool(record.get("images", False))
+    return DataSetEntry(bag.name, bag, indenter, frames, has_images, base_frame)
 
 
-def _weight(directory: Path, index: int, record: Any) -> WeightEntry:
-    place = f"{directory / INDEX}, weight {index}"
+def _weight(directory: Path, record: Any, place: str) -> WeightEntry:
     bag = _bag(directory, record, place)
     given = [key for key in ("mass_kg", "known_force_n") if key in record]
     if len(given) != 1:
@@ -238,37 +226,18 @@ def _weight(directory: Path, index: int, record: Any) -> WeightEntry:
             f"{place}: expected either 'mass_kg' or 'known_force_n', got "
             f"{' and '.join(given) or 'neither'}"
         )
-    known = _positive(record[given[0]], f"{place}: {given[0]}")
-    return WeightEntry(
-        name=bag.name,
-        bag=bag,
-        known_force_n=known * STANDARD_GRAVITY_M_S2 if given == ["mass_kg"] else known,
-        tolerance=_positive(record.get("tolerance", WEIGHT_TOLERANCE), f"{place}: tolerance"),
-    )
-
-
-def _positive(value: Any, place: str) -> float:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not 0.0 < value < np.inf:
-        raise ValueError(f"{place} is {value_text(value)}, expected a number above 0")
-    return float(value)
-
-
-def _indenter_name(value: Any, place: str) -> str:
-    is_name = isinstance(value, str) and Path(value).name == value and value.isprintable()
-    if not is_name or len(value) > LONGEST_NAME:
-        raise ValueError(
-            f"{place} is {value_text(value)}, expected the name of a mesh in indenters/, without "
-            ".stl, or a definition such as 'sphere(radius_m=0.004)'"
-        )
-    return str(value)
+    values = {given[0]: record[given[0]], "tolerance": record.get("tolerance", WEIGHT_TOLERANCE)}
+    for key, value in values.items():
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not 0.0 < value < np.inf:
+            raise ValueError(f"{place}: {key} is {value_text(value)}, expected a number above 0")
+    known, tolerance = map(float, values.values())
+    force_n = known * STANDARD_GRAVITY_M_S2 if given == ["mass_kg"] else known
+    return WeightEntry(bag.name, bag, force_n, tolerance)
 
 
 def read_data_set(directory: str | Path) -> DataSet:
-    """Read the index of a data set.
-
-    Args:
-        directory: the folder that holds dataset.yaml.
+    """Read the index, dataset.yaml, of a data set's folder; bags are read when asked.
 
     Raises:
         FileNotFoundError: no index there, or a bag that it names is not.
@@ -289,7 +258,8 @@ def read_data_set(directory: str | Path) -> DataSet:
             f"in the messages, such as {BASE_FRAME}"
         )
     entries = tuple(
-        _entry(directory, number, record, base_frame) for number, record in enumerate(records)
+        _entry(directory, record, base_frame, f"{index}, trajectory {number}")
+        for number, record in enumerate(records)
     )
     names = [entry.name for entry in entries]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -304,11 +274,11 @@ def read_data_set(directory: str | Path) -> DataSet:
             f"{index}: weights is {value_text(weights)}, expected a list of bags, each with its "
             "mass_kg"
         )
-    return DataSet(
-        directory,
-        entries,
-        tuple(_weight(directory, number, record) for number, record in enumerate(weights)),
+    known = tuple(
+        _weight(directory, record, f"{index}, weight {number}")
+        for number, record in enumerate(weights)
     )
+    return DataSet(directory, entries, known)
 
 
 def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None = None) -> Indenter:

@@ -6,13 +6,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray
 
 
@@ -72,22 +69,3 @@ class Prediction:
 
     skin_position_m: FloatArray
     force_n: FloatArray | None = None
-
-
-class Model(Protocol):
-    """A simulator of the gel's surface."""
-
-    @property
-    def name(self) -> str:
-        """How tables call it."""
-
-    def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
-        """Return the skin, and the force where it has one, at the poses of a press.
-
-        Nothing of the press is read but its poses and stamps.
-
-        Args:
-            press: the poses.
-            indenter: the shape that presses.
-            skin: the measured skin at rest.
-        """

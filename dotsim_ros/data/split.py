@@ -5,27 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 import numpy as np
 
 HELD_OUT_COUNT = 9
-
-
-@dataclass(frozen=True)
-class Split:
-    """Names of the presses to fit on and to judge on.
-
-    Attributes:
-        name: "held_out", or the indenter that is left out.
-        train: names to fit on.
-        test: names to judge on.
-    """
-
-    name: str
-    train: tuple[str, ...]
-    test: tuple[str, ...]
 
 
 def hold_out_of_protocols(
@@ -42,7 +26,15 @@ def hold_out_of_protocols(
         ValueError: a name twice, a count that leaves nothing to fit on or to judge on, or more to
             hold out than there are repeats.
     """
-    ordered = _checked(names, count)
+    ordered = sorted(names)
+    twice = sorted({n for n in ordered if ordered.count(n) > 1})
+    if twice:
+        raise ValueError(f"names of presses must differ, got {', '.join(twice)} more than once")
+    if not 0 < count < len(ordered):
+        raise ValueError(
+            f"{count} of {len(ordered)} presses cannot be held out; expected 1 to "
+            f"{len(ordered) - 1}"
+        )
     random = np.random.default_rng(seed)
     repeats = repeats_of(ordered)
     for members in repeats.values():
@@ -69,42 +61,3 @@ def repeats_of(names: Iterable[str]) -> dict[str, list[str]]:
     for name in sorted(names):
         repeats.setdefault(name.rstrip("0123456789").rstrip("_"), []).append(name)
     return repeats
-
-
-def leave_one_indenter_out(indenter_of: Mapping[str, str]) -> Iterator[Split]:
-    """Yield a split for each indenter: its presses are judged on, all others fitted on.
-
-    Args:
-        indenter_of: indenter of each press, by the press's name.
-
-    Raises:
-        ValueError: fewer than two indenters.
-    """
-    indenters = sorted(set(indenter_of.values()))
-    if len(indenters) < 2:
-        raise ValueError(f"leaving one indenter out takes two at least, got {indenters}")
-    names = _distinct(indenter_of)
-    for left_out in indenters:
-        yield Split(
-            left_out,
-            tuple(n for n in names if indenter_of[n] != left_out),
-            tuple(n for n in names if indenter_of[n] == left_out),
-        )
-
-
-def _checked(names: Iterable[str], count: int) -> list[str]:
-    ordered = _distinct(names)
-    if not 0 < count < len(ordered):
-        raise ValueError(
-            f"{count} of {len(ordered)} presses cannot be held out; expected 1 to "
-            f"{len(ordered) - 1}"
-        )
-    return ordered
-
-
-def _distinct(names: Iterable[str]) -> list[str]:
-    ordered = sorted(names)
-    twice = sorted({n for n in ordered if ordered.count(n) > 1})
-    if twice:
-        raise ValueError(f"names of presses must differ, got {', '.join(twice)} more than once")
-    return ordered

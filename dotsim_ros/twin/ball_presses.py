@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.data.importers.ball_photographs import BallPress
+from dotsim_ros.data.contact_circle import BallPress
 from dotsim_ros.gel.implicit.gel import CORE_CLEARANCE_M, PressTooDeepError
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import Camera, PinholeCamera

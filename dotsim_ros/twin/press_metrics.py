@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.data.presses import Model, Prediction, Press
-from dotsim_ros.data.split import Split
+from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m, vertex_normals
@@ -33,9 +32,6 @@ JUDGED_DEPTH_M = 2.0e-3
 CONTACT_REACH_M = 0.5e-3
 """Measured skin nearer to the indenter than this is the contact region: the noise of skin and pose
 is a tenth of it, and a measured mesh has corners a few tenths of a millimetre off."""
-
-Factory = Callable[[Split, Sequence[Press], Mapping[str, Indenter], SkinMesh], Model]
-"""Makes a model for a split, given the presses to fit it on, their indenters, and the skin."""
 
 
 @dataclass(frozen=True)
@@ -102,27 +98,6 @@ class Summary:
     presses: int
 
 
-@dataclass(frozen=True)
-class Failure:
-    """A press that a model could not predict, and why."""
-
-    press: str
-    reason: str
-
-
-@dataclass(frozen=True)
-class ModelScores:
-    """What one model got on the presses of a split.
-
-    Attributes:
-        scores: of every frame judged.
-        failures: presses that it could not predict, which are in no score.
-    """
-
-    scores: tuple[PressFrameScore, ...]
-    failures: tuple[Failure, ...] = ()
-
-
 def judged_frames(
     press: Press, skin: SkinMesh, *, from_depth_m: float = JUDGED_DEPTH_M
 ) -> NDArray[np.int64]:
@@ -135,7 +110,12 @@ def contact_region(measured_m: FloatArray, pose: Pose, indenter: Indenter) -> Bo
     return np.asarray(indenter.distance_from(measured_m, pose) < CONTACT_REACH_M)
 
 
-def _measured_skin(press: Press, skin: SkinMesh) -> FloatArray:
+def measured_skin(press: Press, skin: SkinMesh) -> FloatArray:
+    """Return the skin (F, V, 3) of a press.
+
+    Raises:
+        ValueError: none was measured, or of another number of vertices.
+    """
     if press.skin_position_m is None:
         raise ValueError(f"{press.name}: no skin was measured, so no surface can be judged")
     if press.skin_position_m.shape[1] != skin.vertex_count:
@@ -193,7 +173,7 @@ def score_press(
     Raises:
         ValueError: no skin was measured, or a prediction of another shape or not finite.
     """
-    measured = _measured_skin(press, skin)
+    measured = measured_skin(press, skin)
     _check_prediction(press, prediction, skin)
     area = skin.rest_area_m2
     rest_normal = vertex_normals(skin.rest_position_m, skin.triangles)
@@ -241,61 +221,6 @@ def _mean_normal(normal: FloatArray, weight: FloatArray, pose: Pose) -> FloatArr
     mean = weight @ normal
     length = float(np.linalg.norm(mean))
     return np.asarray(mean / length) if length > 0.0 else pose.rotation()[:, 2]
-
-
-def floor_scores(
-    press: Press,
-    indenter: Indenter,
-    skin: SkinMesh,
-    *,
-    seed: int = 0,
-    from_depth_m: float = JUDGED_DEPTH_M,
-) -> list[PressFrameScore]:
-    """Return what a perfect prediction would get: the measured surface against itself resampled,
-    and forces against those measured.
-
-    Scores that use no samples are zero here; `measurement_noise` gives their lower bound.
-    """
-    measured = _measured_skin(press, skin)
-    perfect = Prediction(measured, press.force_n)
-    return score_press(press, perfect, indenter, skin, seed=seed, from_depth_m=from_depth_m)
-
-
-@dataclass(frozen=True)
-class MeasuredNoise:
-    """What was measured before anything touched, where a model cannot be wrong.
-
-    Attributes:
-        skin_rms_m: distance from the measured vertices to the surface at rest.
-        vertex_rms_m: distance to where each vertex rests.
-        force_rms_n: of one component of the force.
-        frames: how many.
-    """
-
-    skin_rms_m: float
-    vertex_rms_m: float
-    force_rms_n: float
-    frames: int
-
-
-def measurement_noise(presses: Iterable[Press], skin: SkinMesh) -> MeasuredNoise | None:
-    """Return the noise of the frames before the first touch; None where there are none."""
-    skin_m, vertex_m, force_n = [], [], []
-    for press in presses:
-        depth = tip_depth_m(skin, press.poses)
-        if depth[0] >= 0.0 or press.force_n is None:
-            continue
-        first = _measured_skin(press, skin)[0]
-        distance = surface_distance(first, skin.rest_position_m, skin.triangles)
-        skin_m.append(weighted_rms(distance, skin.rest_area_m2))
-        moved = np.linalg.norm(first - skin.rest_position_m, axis=1)
-        vertex_m.append(weighted_rms(moved, skin.rest_area_m2))
-        force_n.append(press.force_n[0])
-    if not skin_m:
-        return None
-    return MeasuredNoise(
-        root_mean_square(skin_m), root_mean_square(vertex_m), root_mean_square(force_n), len(skin_m)
-    )
 
 
 def root_mean_square(values: Sequence[float] | Sequence[FloatArray] | FloatArray) -> float:
@@ -362,49 +287,3 @@ def by_indenter(scores: Iterable[PressFrameScore]) -> dict[str, list[PressFrameS
     for score in scores:
         grouped.setdefault(score.indenter, []).append(score)
     return dict(sorted(grouped.items()))
-
-
-def evaluate_model(
-    factory: Factory,
-    split: Split,
-    presses: Mapping[str, Press],
-    indenters: Mapping[str, Indenter],
-    skin: SkinMesh,
-    *,
-    seed: int = 0,
-    from_depth_m: float = JUDGED_DEPTH_M,
-    progress: Callable[[str], None] = lambda _press: None,
-) -> ModelScores:
-    """Fit a model on the training presses of a split and score it on the others.
-
-    A press that the model cannot predict is reported, and the others are still judged.
-
-    Args:
-        factory: makes the model.
-        split: what to fit on and to judge on.
-        presses: by name.
-        indenters: by name.
-        skin: the measured skin at rest.
-        seed: of the samples.
-        from_depth_m: depth of the tip from which frames are judged.
-        progress: called with the name of each press that is done.
-
-    Raises:
-        ValueError: the model could not be made.
-    """
-    model = factory(split, [presses[name] for name in split.train], indenters, skin)
-    scores: list[PressFrameScore] = []
-    failures: list[Failure] = []
-    for name in split.test:
-        press = presses[name]
-        indenter = indenters[press.indenter]
-        try:
-            prediction = model.predict(press, indenter, skin)
-            scores += score_press(
-                press, prediction, indenter, skin, seed=seed, from_depth_m=from_depth_m
-            )
-        # Solvers that fail raise either; the table says so rather than end.
-        except (ValueError, RuntimeError) as error:
-            failures.append(Failure(name, str(error)))
-        progress(name)
-    return ModelScores(tuple(scores), tuple(failures))

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from dotsim_ros.data.importers.ball_photographs import BallPress
+from dotsim_ros.data.contact_circle import BallPress
 from dotsim_ros.gel.make import make_gel
 from dotsim_ros.geometry.indenter import (
     Indenter,

@@ -12,14 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, cast, get_args
 
-from dotsim_ros.data.presses import Model, Press
-from dotsim_ros.data.split import Split
+from dotsim_ros.data.presses import Press
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import SensorSpecification, load_sensor
-from dotsim_ros.twin.press_metrics import Factory
 from studies.geometry.explicit import ExplicitFit
 from studies.geometry.implicit_model import ImplicitModel
+from studies.geometry.scores import Factory, Model, Split
 
 BASELINES = ("tacto", "taxim", "difftactile")
 """Each is a module of `studies.rivals` with `fit(train, indenters, skin) -> Model`."""

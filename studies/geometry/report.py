@@ -16,27 +16,29 @@ from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import read_observation, summarize_reasons
 from dotsim_ros.data.split import (
     HELD_OUT_COUNT,
-    Split,
     hold_out_of_protocols,
-    leave_one_indenter_out,
 )
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.twin.press_metrics import (
     CONTACT_REACH_M,
     JUDGED_DEPTH_M,
-    Factory,
-    MeasuredNoise,
-    ModelScores,
     PressFrameScore,
     by_indenter,
-    evaluate_model,
-    floor_scores,
     judged_frames,
-    measurement_noise,
     summarize,
 )
 from dotsim_ros.twin.surface_metrics import F_SCORE_THRESHOLD_M, SAMPLE_COUNT, SIGNIFICANT_SHARE
+from studies.geometry.scores import (
+    Factory,
+    MeasuredNoise,
+    ModelScores,
+    Split,
+    evaluate_model,
+    floor_scores,
+    leave_one_indenter_out,
+    measurement_noise,
+)
 
 HELD_OUT = "held_out"
 

@@ -25,11 +25,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dotsim_ros.data.importers.ball_photographs import (
-    BallPress,
-    BallRecording,
-    with_circles_found,
-)
+from dotsim_ros.data.contact_circle import BallPress
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.cache import content_key
 from dotsim_ros.io.files import cache_directory
@@ -46,10 +42,11 @@ from dotsim_ros.twin.ball_presses import (
     press_profiles,
 )
 from dotsim_ros.twin.footage import OpticalPress
-from dotsim_ros.twin.image_metrics import score_image
 from studies.data import REAL
 from studies.optics.fots_balls import read_fots_balls
+from studies.optics.image_scores import score_image
 from studies.optics.judge import Factory, mean_score
+from studies.optics.marked_photographs import BallRecording, with_circles_found
 from studies.optics.models import FitSettings, factory_of
 from studies.optics.sheet import write_optics_sheet
 from studies.optics.taxim_balls import SUBSETS, read_taxim_balls

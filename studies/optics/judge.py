@@ -15,13 +15,8 @@ import numpy as np
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.twin.footage import FilmedPress, OpticalData, OpticalPress, Rest
-from dotsim_ros.twin.image_metrics import (
-    ImageScore,
-    depth_ranges,
-    image_psnr_db,
-    psnr_db,
-    score_image,
-)
+from dotsim_ros.twin.image_metrics import depth_ranges, image_psnr_db, psnr_db
+from studies.optics.image_scores import ImageScore, score_image
 from studies.optics.split import FrameKey, OpticalSplit, Recorded, optical_splits
 
 AnyPress = TypeVar("AnyPress", FilmedPress, OpticalPress)

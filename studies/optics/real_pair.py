@@ -34,8 +34,8 @@ from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.specification import SensorSpecification, load_sensor
-from dotsim_ros.twin.image_metrics import score_image
 from studies.data import REAL
+from studies.optics.image_scores import score_image
 
 DESCRIPTION = "images/densetact_real_idle.yaml"
 BALL_RADIUS_M = 4.0e-3

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.twin.footage import OpticalPress
-from dotsim_ros.twin.image_metrics import SIGNIFICANT_SHARE, SSIM_SIGMA_PX
+from studies.optics.image_scores import SIGNIFICANT_SHARE, SSIM_SIGMA_PX
 from studies.optics.judge import DEEP_M, is_single_press, summarize
 from studies.optics.rows import Row, RowMaker
 from studies.optics.split import FrameKey, OpticalSplit

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from dotsim_ros.io.arrays import BoolArray, ImageArray
 from dotsim_ros.io.files import whole_file
 from dotsim_ros.io.printable import boxes_for_missing_glyphs, figure_label
-from dotsim_ros.twin.image_metrics import score_image
 from dotsim_ros.view.panels import STYLE
+from studies.optics.image_scores import score_image
 from studies.optics.rows import Row, RowMaker
 from studies.optics.split import FrameKey
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from dotsim_ros.data.importers.ball_photographs import (
+from studies.optics.marked_photographs import (
     BallRecording,
     CircleColumns,
     read_marked_photographs,

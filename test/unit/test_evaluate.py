@@ -20,9 +20,7 @@ from dotsim_ros.data.data_set import DataSet, DataSetEntry, read_data_set
 from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.data.reading import press_of, read_observation
 from dotsim_ros.data.split import (
-    Split,
     hold_out_of_protocols,
-    leave_one_indenter_out,
 )
 from dotsim_ros.data.trajectory import (
     PoseChannel,
@@ -44,9 +42,7 @@ from dotsim_ros.twin.press_metrics import (
     Summary,
     by_indenter,
     contact_region,
-    floor_scores,
     judged_frames,
-    measurement_noise,
     score_press,
     summarize,
 )
@@ -61,6 +57,12 @@ from studies.geometry.record import geometry_later
 from studies.geometry.registry import factories_of, sensor_for
 from studies.geometry.report import read_measured, read_with_later
 from studies.geometry.runtime import Effort, model_of, runtime
+from studies.geometry.scores import (
+    Split,
+    floor_scores,
+    leave_one_indenter_out,
+    measurement_noise,
+)
 from studies.rivals import difftactile, taxim
 
 FloatArray = NDArray[np.float64]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.data.importers.ball_photographs import BallPress, BallRecording
+from dotsim_ros.data.contact_circle import BallPress
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import (
     GelSpecification,
@@ -40,6 +40,7 @@ from studies.optics.gelsight import (
     cap_presses,
     with_gains_of,
 )
+from studies.optics.marked_photographs import BallRecording
 from studies.optics.taxim_balls import read_taxim_balls
 
 SIZE = (80, 60)

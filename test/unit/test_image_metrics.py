@@ -9,12 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.twin.image_metrics import (
-    LARGEST_PSNR_DB,
-    psnr_db,
-    score_image,
-    ssim_map,
-)
+from dotsim_ros.twin.image_metrics import LARGEST_PSNR_DB, psnr_db
+from studies.optics.image_scores import score_image, ssim_map
 
 SIZE = (40, 50)
 WHOLE = {"frame": None}

@@ -12,11 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dotsim_ros.data.contact_circle import find_contact_circles
-from dotsim_ros.data.importers.ball_photographs import (
-    BallPress,
-    one_contact,
-)
+from dotsim_ros.data.contact_circle import BallPress, find_contact_circles, one_contact
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.files import read_image
 

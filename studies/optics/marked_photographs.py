@@ -5,47 +5,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.data.contact_circle import ContactCircle, find_contact_circles
-from dotsim_ros.io.arrays import BoolArray, FloatArray, ImageArray
+from dotsim_ros.data.contact_circle import (
+    BallPress,
+    ContactCircle,
+    find_contact_circles,
+    one_contact,
+    place_of,
+)
+from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.documents import Table, read_table
 from dotsim_ros.io.files import read_image
-
-CONTACT_REACH = 1.5
-"""Radius of the region around a contact in which models are judged, over the circle's."""
-
-
-@dataclass(frozen=True)
-class BallPress:
-    """One photograph of the ball.
-
-    Attributes:
-        name: of the file.
-        centre_px: (2,) centre of the circle of contact, x then y.
-        radius_px: its radius.
-        image: (H, W, 3) uint8, red, green, blue.
-    """
-
-    name: str
-    centre_px: FloatArray
-    radius_px: float
-    image: ImageArray
-
-    def within(self, reach: float) -> BoolArray:
-        """Return (H, W) the pixels within so many radii of the circle's centre."""
-        height, width = self.image.shape[:2]
-        x, y = np.meshgrid(np.arange(width), np.arange(height))
-        distance = np.hypot(x - self.centre_px[0], y - self.centre_px[1])
-        return np.asarray(distance < reach * self.radius_px)
-
-    def near_contact(self) -> BoolArray:
-        """Return (H, W) the pixels within one and a half radii of the circle's centre."""
-        return self.within(CONTACT_REACH)
 
 
 @dataclass(frozen=True)
@@ -186,31 +161,6 @@ def check_contact(
     found = one_contact(path, find_contact_circles(image, idle))
     if np.linalg.norm(found.centre_px - circle.centre_px) > circle.radius_px:
         raise ValueError(
-            f"{where}: the circle of {path.name} is at {_place(circle)}, but what differs from the "
-            f"idle photograph is at {_place(found)}; mark the circle again"
+            f"{where}: the circle of {path.name} is at {place_of(circle)}, but what differs from "
+            f"the idle photograph is at {place_of(found)}; mark the circle again"
         )
-
-
-def one_contact(path: Path, found: Sequence[ContactCircle]) -> ContactCircle:
-    """Return the only contact of a photograph.
-
-    Raises:
-        ValueError: there is none, or a second one.
-    """
-    if not found:
-        raise ValueError(
-            f"{path} shows no ball: it differs from the idle photograph nowhere by a disc; leave "
-            "it out, or press deeper"
-        )
-    if len(found) > 1:
-        places = " and ".join(_place(circle) for circle in found[:2])
-        raise ValueError(
-            f"{path} shows two contacts, at {places}; expected one ball alone: leave it out, or "
-            "take it again"
-        )
-    return found[0]
-
-
-def _place(circle: ContactCircle) -> str:
-    x, y = np.rint(circle.centre_px).astype(int)
-    return f"pixel ({x}, {y})"
