@@ -9,7 +9,6 @@ At one or two iterations a frame an error that a frame leaves must not grow in t
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from dotsim_ros.data.shipped_presses import read_presses
 from dotsim_ros.gel.make import body_of, make_gel, skin_of
@@ -24,16 +23,7 @@ from dotsim_ros.specification import load_sensor
 SPEED_M_S = 5.0e-3
 FRAME_S = 0.04
 PRESS = 1
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("densetact2")
-
-
-@pytest.fixture(scope="module")
-def indenter():
-    return load_indenter("sphere_4mm")
+DEPTH_M, IRREGULARITY = 4.5e-3, 0.5
 
 
 def _gel(sensor, indenter, profile):
@@ -41,23 +31,17 @@ def _gel(sensor, indenter, profile):
     return make_gel(replace(sensor, solver=solver), skin_of(sensor.gel), indenter).gel
 
 
-def _motion(sensor, depth_m):
+def test_a_press_in_real_time_keeps_the_force_of_the_exact_solver():
+    sensor, indenter = load_sensor("densetact2"), load_indenter("sphere_4mm")
     press = read_presses(parameter_path(SHIPPED_PRESSES))[PRESS]
-    return press.motion(
+    motion = press.motion(
         outer_radius_m=sensor.gel.outer_radius_m,
         indenter_radius_m=4.0e-3,
         speed_m_s=SPEED_M_S,
         hold_s=0.4,
-        depth_limit_m=depth_m,
+        depth_limit_m=DEPTH_M,
         clearance_m=0.5e-3,
     )
-
-
-@pytest.mark.parametrize(("depth_m", "irregularity"), [(3.0e-3, 0.0), (4.5e-3, 0.5)])
-def test_a_press_in_real_time_keeps_the_force_of_the_exact_solver(
-    sensor, indenter, depth_m, irregularity
-):
-    motion = _motion(sensor, depth_m)
     quick, exact = (_gel(sensor, indenter, profile) for profile in (REALTIME, EXACT))
     random = np.random.default_rng(0)
     path = CommandedPath(
@@ -67,7 +51,7 @@ def test_a_press_in_real_time_keeps_the_force_of_the_exact_solver(
     time_s = 0.0
     forces_n, errors_m = [], []
     while time_s < motion.duration_s:
-        step_s = FRAME_S * (1.0 + irregularity * random.uniform(-1.0, 1.0))
+        step_s = FRAME_S * (1.0 + IRREGULARITY * random.uniform(-1.0, 1.0))
         time_s += step_s
         path.add(motion.at(time_s))
         pose = path.advance(REALTIME.move_m).pose

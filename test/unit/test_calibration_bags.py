@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,115 +23,66 @@ SKIN = dome_skin(0.01575, 4e-3)
 FRAMES = 3
 
 
-def stamp(frame: int) -> int:
-    return 1_000_000_000 + 100_000_000 * frame
+def bag_with(
+    bag: BagFile,
+    *,
+    poses: Sequence[int] = range(FRAMES),
+    height_m: float = 0.0155,
+    wrenches: Sequence[float] = (1.0,) * FRAMES,
+    skins: Sequence[float] = (1.0,) * FRAMES,
+    dropped: int = 0,
+    twist: bool = False,
+) -> None:
+    """Write a bag.
 
-
-def write_pose(bag: BagFile, frame: int, height_m: float, stamp_ns: int | None = None) -> None:
-    time_ns = stamp(frame)
-    message = msg_adapters.encode_pose_stamped(
-        np.array([0.0, 0.0, height_m]),
-        np.array([0.0, 0.0, 0.0, 1.0]),
-        stamp_ns=time_ns if stamp_ns is None else stamp_ns,
-        frame_id="densetact_base",
-        types=BAG_TYPES,
-    )
-    bag.write("/indenter/pose", time_ns, message)
-
-
-def write_wrench(bag: BagFile, frame: int, force_n: float) -> None:
-    message = msg_adapters.encode_wrench_stamped(
-        np.array([0.0, 0.0, 1.0]),
-        np.zeros(3),
-        stamp_ns=stamp(frame),
-        frame_id="densetact_base",
-        types=BAG_TYPES,
-    )
-    # Set past the adapter, which refuses what is not finite.
-    message.wrench.force.z = force_n
-    bag.write("/indenter/wrench", stamp(frame), message)
-
-
-def write_skin(bag: BagFile, frame: int, scale: float = 1.0, dropped: int = 0) -> None:
-    position = (scale * SKIN.rest_position_m[dropped:]).astype(np.float32)
-    message = msg_adapters.encode_cloud(
-        position, stamp_ns=stamp(frame), frame_id="densetact_base", types=BAG_TYPES
-    )
-    bag.write("/tactile/skin", stamp(frame), message)
-
-
-def good(bag: BagFile) -> None:
-    for frame in range(FRAMES):
-        write_pose(bag, frame, 0.0155)
-        write_wrench(bag, frame, 1.0)
-        write_skin(bag, frame)
-
-
-def without_poses(bag: BagFile) -> None:
-    for frame in range(FRAMES):
-        write_wrench(bag, frame, 1.0)
-
-
-def wrong_type(bag: BagFile) -> None:
-    for frame in range(FRAMES):
-        write_pose(bag, frame, 0.0155)
-        message = msg_adapters.encode_twist_stamped(
-            np.zeros(3), np.zeros(3), stamp_ns=stamp(frame), frame_id="a", types=BAG_TYPES
+    Args:
+        bag: where to.
+        poses: stamp of each, by the number of its frame.
+        height_m: of all poses.
+        wrenches: force of each, or what stands in its place.
+        skins: scale of each.
+        dropped: points that are missing of each skin.
+        twist: write twists in place of wrenches.
+    """
+    stamps = [1_000_000_000 + 100_000_000 * frame for frame in range(FRAMES)]
+    head = {"frame_id": "densetact_base", "types": BAG_TYPES}
+    up = np.array([0.0, 0.0, 0.0, 1.0])
+    for frame, other in enumerate(poses):
+        message = msg_adapters.encode_pose_stamped(
+            np.array([0.0, 0.0, height_m]), up, stamp_ns=stamps[other], **head
         )
-        bag.write("/indenter/wrench", stamp(frame), message)
+        bag.write("/indenter/pose", stamps[frame], message)
+    for stamp_ns, force_n in zip(stamps, wrenches, strict=False):
+        encode = msg_adapters.encode_twist_stamped if twist else msg_adapters.encode_wrench_stamped
+        message = encode(np.zeros(3), np.zeros(3), stamp_ns=stamp_ns, **head)
+        if not twist:
+            # Set past the adapter, which refuses what is not finite.
+            message.wrench.force.z = force_n
+        bag.write("/indenter/wrench", stamp_ns, message)
+    for stamp_ns, scale in zip(stamps, skins, strict=False):
+        position = (scale * SKIN.rest_position_m[dropped:]).astype(np.float32)
+        message = msg_adapters.encode_cloud(position, stamp_ns=stamp_ns, **head)
+        bag.write("/tactile/skin", stamp_ns, message)
 
 
-def out_of_order(bag: BagFile) -> None:
-    for frame, other in enumerate((0, 2, 1)):
-        write_pose(bag, frame, 0.0155, stamp(other))
-        write_wrench(bag, frame, 1.0)
-
-
-def not_a_number(bag: BagFile) -> None:
-    for frame in range(FRAMES):
-        write_pose(bag, frame, 0.0155)
-        write_wrench(bag, frame, float("nan") if frame == 1 else 1.0)
-
-
-def millimetres(bag: BagFile) -> None:
-    for frame in range(FRAMES):
-        write_pose(bag, frame, 0.0155)
-        write_skin(bag, frame, scale=1000.0 if frame == 2 else 1.0)
-
-
-def pose_in_millimetres(bag: BagFile) -> None:
-    for frame in range(FRAMES):
-        write_pose(bag, frame, 15.5)
-        write_wrench(bag, frame, 1.0)
-
-
-def fewer_points(bag: BagFile) -> None:
-    for frame in range(FRAMES):
-        write_pose(bag, frame, 0.0155)
-        write_skin(bag, frame, dropped=2)
-
-
-def poses_alone(bag: BagFile) -> None:
-    for frame in range(FRAMES):
-        write_pose(bag, frame, 0.0155)
-
-
-def unpaired(bag: BagFile) -> None:
-    for frame in range(FRAMES):
-        write_pose(bag, frame, 0.0155)
-    write_wrench(bag, 0, 1.0)
-
-
-BAD: dict[str, tuple[Callable[[BagFile], None], str]] = {
-    "without_poses": (without_poses, r"no message on /indenter/pose.*record the indenter's poses"),
-    "wrong_type": (wrong_type, r"/indenter/wrench: holds geometry_msgs/msg/TwistStamped.*record"),
-    "out_of_order": (out_of_order, r"/indenter/pose, message 2: stamp.*one clock"),
-    "not_a_number": (not_a_number, r"/indenter/wrench, message 1: .*not finite.*drop"),
-    "millimetres": (millimetres, r"/tactile/skin, message 2: .*multiply by 0.001"),
-    "pose_in_millimetres": (pose_in_millimetres, r"/indenter/pose, message 0: .*multiply by 0.001"),
-    "fewer_points": (fewer_points, r"/tactile/skin, message 0: .*record the vertices"),
-    "poses_alone": (poses_alone, r"neither /tactile/skin nor /indenter/wrench.*record one"),
-    "unpaired": (unpaired, r"1 stamps of the wrench differ.*record"),
+NONE: tuple[float, ...] = ()
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "without_poses": ({"poses": ()}, r"no message on /indenter/pose.*record the indenter's poses"),
+    "wrong_type": ({"twist": True}, r"/indenter/wrench: holds geometry_msgs/msg/Twist.*record"),
+    "out_of_order": ({"poses": (0, 2, 1)}, r"/indenter/pose, message 2: stamp.*one clock"),
+    "not_a_number": (
+        {"wrenches": (1.0, float("nan"), 1.0)},
+        r"/indenter/wrench, message 1: .*not finite.*drop",
+    ),
+    "millinewtons": ({"wrenches": (501.0,)}, r"/indenter/wrench, message 0: .*convert them"),
+    "millimetres": ({"skins": (1.0, 1.0, 1e3)}, r"/tactile/skin, message 2: .*multiply by 0.001"),
+    "pose_in_millimetres": ({"height_m": 15.5}, r"/indenter/pose, message 0: .*multiply by 0.001"),
+    "fewer_points": ({"dropped": 2}, r"/tactile/skin, message 0: .*record the vertices"),
+    "poses_alone": (
+        {"wrenches": NONE, "skins": NONE},
+        r"neither /tactile/skin nor /indenter/wrench.*record one",
+    ),
+    "unpaired": ({"wrenches": (1.0,), "skins": NONE}, r"1 stamps of the wrench differ.*record"),
 }
 
 
@@ -138,14 +90,12 @@ BAD: dict[str, tuple[Callable[[BagFile], None], str]] = {
 def data_set(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     directory = tmp_path_factory.mktemp("data_set")
     records = []
-    writers = {"good": good, **{name: writer for name, (writer, _) in BAD.items()}}
-    for name, writer in writers.items():
+    changes = {"good": {}, **{name: change for name, (change, _) in BAD.items()}}
+    for name, change in {**changes, "unknown_indenter": {}}.items():
         with BagFile(directory / "bags" / name) as bag:
-            writer(bag)
-        records.append({"bag": f"bags/{name}", "indenter": "sphere", "frames": FRAMES})
-    with BagFile(directory / "bags" / "unknown_indenter") as bag:
-        good(bag)
-    records.append({"bag": "bags/unknown_indenter", "indenter": "spere", "frames": FRAMES})
+            bag_with(bag, **change)
+        indenter = "spere" if name == "unknown_indenter" else "sphere"
+        records.append({"bag": f"bags/{name}", "indenter": indenter, "frames": FRAMES})
     (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
     np.savez(
         directory / "skin_mesh.npz",
@@ -182,7 +132,7 @@ def test_the_good_ones_are_read_beside_the_bad(data_set: DataSet) -> None:
 
 
 def test_clouds_may_differ_where_there_is_no_mesh(data_set: DataSet) -> None:
-    entry = next(entry for entry in data_set.entries if entry.name == "fewer_points")
+    (entry,) = data_set.named(["fewer_points"])
     press = read_observation(data_set, entry, skin=SKIN, has_vertices=False).press
     assert press.skin_position_m is not None
     assert press.skin_position_m.shape[1] == SKIN.vertex_count - 2

@@ -130,25 +130,13 @@ def test_others_read_what_is_written(whole):
     assert end.data_section_crc != 0
 
 
-def test_bag_without_checksums_is_read(tmp_path):
-    """As rosbags writes them, and as data sets of earlier versions are."""
-    path = tmp_path / "bag"
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/wrench", WRENCH, typestore=TYPESTORE)
-        for number in range(5):
-            data = TYPESTORE.serialize_cdr(wrench(number), WRENCH)
-            writer.write(connection, 10**9 + number, data)
-    assert [each[2] for each in content(path)] == [10**9 + number for number in range(5)]
-    # Its file alone, too.
-    assert content(path / "bag.mcap") == content(path)
-
-
-@pytest.mark.parametrize("mode", ["sqlite3", "file", "message", "storage"])
+@pytest.mark.parametrize("mode", ["none", "sqlite3", "file", "message", "storage"])
 def test_other_storages_are_read(tmp_path, mode):
+    """As rosbags writes them, without checksums, and as data sets of earlier versions are."""
     path = tmp_path / "bag"
     plugin = StoragePlugin.SQLITE3 if mode == "sqlite3" else StoragePlugin.MCAP
     writer = Writer(path, version=9, storage_plugin=plugin)
-    if mode != "sqlite3":
+    if mode not in ("none", "sqlite3"):
         writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
     with writer:
         connection = writer.add_connection("/wrench", WRENCH, typestore=TYPESTORE)
@@ -156,6 +144,9 @@ def test_other_storages_are_read(tmp_path, mode):
             data = TYPESTORE.serialize_cdr(wrench(number), WRENCH)
             writer.write(connection, 10**9 + number, data)
     assert [each[2] for each in content(path)] == [10**9 + number for number in range(5)]
+    if mode == "none":
+        # Its file alone, too.
+        assert content(path / "bag.mcap") == content(path)
 
 
 @pytest.mark.parametrize(
@@ -170,33 +161,28 @@ def test_other_storages_are_read(tmp_path, mode):
     ids=["lz4", "zstd", "no chunks", "no index", "no definitions in the index"],
 )
 def test_every_way_of_writing_mcap_is_read(tmp_path, options):
-    path = tmp_path / "bag.mcap"
+    # Out of order, and chunks that overlap.
+    times = [10**9 + (number * 37) % 200 for number in range(200)]
+    path = written_by_mcap(tmp_path / "bag.mcap", times, chunk_size=4000, **options)[0]
+    assert [time_ns for _, _, time_ns, _ in content(path)] == sorted(times)
+
+
+def written_by_mcap(path, times, **options):
+    """Return a file that PyPI's mcap wrote, and where its last message begins."""
     with path.open("wb") as file:
-        writer = mcap.writer.Writer(file, chunk_size=4000, **options)
+        writer = mcap.writer.Writer(file, **options)
         writer.start(profile="ros2")
         schema = writer.register_schema(WRENCH, "ros2msg", b"# as in ROS")
         channel = writer.register_channel("/wrench", "cdr", schema)
-        for number in range(200):
-            data = bytes(TYPESTORE.serialize_cdr(wrench(number), WRENCH))
-            # Out of order, and chunks that overlap.
-            time_ns = 10**9 + (number * 37) % 200
-            writer.add_message(channel, log_time=time_ns, data=data, publish_time=time_ns)
+        for time_ns in times:
+            place = file.tell()
+            writer.add_message(channel, log_time=time_ns, data=bytes(50), publish_time=time_ns)
         writer.finish()
-    found = content(path)
-    assert [time_ns for _, _, time_ns, _ in found] == [10**9 + number for number in range(200)]
+    return path, place
 
 
 def test_file_without_chunks_is_read_up_to_where_it_is_cut(tmp_path):
-    path = tmp_path / "bag.mcap"
-    with path.open("wb") as file:
-        writer = mcap.writer.Writer(file, use_chunking=False)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(WRENCH, "ros2msg", b"# as in ROS")
-        channel = writer.register_channel("/wrench", "cdr", schema)
-        for number in range(3):
-            place = file.tell()
-            writer.add_message(channel, log_time=number, data=bytes(50), publish_time=number)
-        writer.finish()
+    path, place = written_by_mcap(tmp_path / "bag.mcap", range(3), use_chunking=False)
     octets = path.read_bytes()
     # Within the head of the last record, and within its content.
     for length in (5, 30):
@@ -230,7 +216,7 @@ def test_no_flipped_bit_passes_unseen(copy, whole, answered):
     expected, octets = content(whole), file.read_bytes()
     draw = random.Random(16)
     answers = set()
-    for _ in range(150):
+    for _ in range(60):
         place = draw.randrange(8 * len(octets))
         file.write_bytes(flipped(octets, place))
         found, text = read_or_refused(bag)
@@ -248,8 +234,8 @@ def test_no_flipped_bit_of_what_holds_a_bag_together_passes_unseen(copy, whole, 
     target = bag / "metadata.yaml" if region == "metadata.yaml" else file
     expected, octets = content(whole), target.read_bytes()
     length = 8 * len(octets)
-    places = {"head": range(0, 8 * 150, 5), "end": range(length - 8 * 1200, length, 43)}
-    for place in places.get(region, range(0, length, 37)):
+    places = {"head": range(0, 8 * 150, 13), "end": range(length - 8 * 1200, length, 97)}
+    for place in places.get(region, range(0, length, 89)):
         target.write_bytes(flipped(octets, place))
         found, _ = read_or_refused(bag)
         assert found in (None, expected), f"bit {place} changed the content unseen"
@@ -317,7 +303,6 @@ def with_index(octets, chunk_length):
 
 HOSTILE = {
     "a file of no bytes": lambda octets: b"",
-    "a text in place of an mcap file": lambda octets: b"no bag at all\n" * 100,
     "random bytes behind the magic of mcap": lambda octets: (
         MAGIC + random.Random(3).randbytes(50_000)
     ),
@@ -339,7 +324,6 @@ HOSTILE = {
     "an index that lies beyond the file": lambda octets: (
         octets[:-28] + struct.pack("<QQI", 2**50, 0, 0) + MAGIC
     ),
-    "an index of nothing but zeros": lambda octets: octets[:-600] + bytes(563) + octets[-37:],
     "a file whose first 100 kB are missing behind its header": lambda octets: (
         octets[:45] + octets[100_000:]
     ),
@@ -370,7 +354,6 @@ def broken_metadata(change):
 FOLDERS = {
     "a bag without its metadata.yaml": lambda bag: (bag / "metadata.yaml").unlink(),
     "a metadata.yaml cut short": broken_metadata(lambda text: text[:333]),
-    "a metadata.yaml that is no YAML": broken_metadata(lambda text: "rosbag2: {[}"),
     "a metadata.yaml of something else": broken_metadata(lambda text: "bag: whole.mcap\n"),
     "a metadata.yaml that names a file that is not there": broken_metadata(
         lambda text: text.replace("whole.mcap", "other.mcap")
@@ -382,9 +365,6 @@ FOLDERS = {
         lambda text: text.replace("storage_identifier: mcap", "storage_identifier: tape")
     ),
     "a bag without its mcap file": lambda bag: (bag / "whole.mcap").unlink(),
-    "a folder in place of the mcap file": lambda bag: (
-        (bag / "whole.mcap").unlink() or (bag / "whole.mcap").mkdir()
-    ),
 }
 
 
@@ -421,7 +401,7 @@ def test_short_message_is_named(tmp_path, answered):
     data = bytes(TYPESTORE.serialize_cdr(wrench(0), WRENCH))
     with BagFile(tmp_path / "bag") as bag:
         bag.add_topic("/indenter/wrench", WRENCH)
-        for length in range(len(data)):
+        for length in range(0, len(data), 7):
             bag.write_serialized("/indenter/wrench", length, data[:length])
     with BagReader(tmp_path / "bag") as bag:
         for item in bag.messages("/indenter/wrench"):
@@ -511,7 +491,7 @@ def test_compressed_image_that_is_cut_off_is_refused(answered):
 def test_compressed_images_of_every_size_are_still_read():
     draw = np.random.default_rng(0)
     for compression in ("png", "jpeg"):
-        for shape in ((1, 1, 3), (480, 640, 3), (33, 2000, 3), (20, 30)):
+        for shape in ((1, 1, 3), (33, 2000, 3), (20, 30)):
             pixels = draw.integers(0, 256, shape, dtype=np.uint8)
             message = msg_adapters.encode_compressed_image(
                 pixels, compression=compression, stamp_ns=1, frame_id="", types=BAG_TYPES

@@ -122,6 +122,8 @@ def sensor():
 
 def test_model_lies_beside_what_was_measured(data_set, sensor, cache):
     filmed = read(data_set, sensor, cache)
+    with pytest.raises(FileNotFoundError):
+        with_measured_skin(filmed, data_set)
     lighting, vignetting = lights_of(sensor)
     data = render_filmed(
         filmed,
@@ -190,37 +192,35 @@ def read(directory, sensor, cache, presses=None):
     return read_filmed_data(directory, sensor, presses=presses, cache=cache)
 
 
-def test_too_few_frames_are_refused(data_set, sensor, cache):
-    with pytest.raises(ValueError, match="5 frames with images in ball_1, expected 10 at least"):
-        read(data_set, sensor, cache, ["ball_1"])
-
-
-def test_unknown_press_is_refused_by_name(data_set, sensor, cache):
-    with pytest.raises(ValueError, match="no trajectory cube_0; it has ball_0, ball_1, ball_2"):
-        read(data_set, sensor, cache, ["ball_0", "cube_0"])
+@pytest.mark.parametrize(
+    ("presses", "reason"),
+    [
+        (["ball_1"], "5 frames with images in ball_1, expected 10 at least"),
+        (["ball_0", "cube_0"], "no trajectory cube_0; it has ball_0, ball_1, ball_2"),
+        (["ball_0", "blind"], "blind holds no image on /tactile/image_raw/compressed"),
+        (["ball_0", "loose"], "loose: no message on /indenter/pose"),
+        (["ball_0", "large"], "it is 160x120, but the idle images 80x60"),
+        (["ball_0", "late"], "late: no image was taken while poses were recorded"),
+        (["ball_0", "ball_1", "early"], r"early, frame 0 differs .*check that the pose"),
+    ],
+)
+def test_presses_without_what_they_show_are_refused(data_set, sensor, cache, presses, reason):
+    options = {
+        "blind": {"images": None},
+        "loose": {"images": [pattern(3)], "with_pose": False},
+        "large": {"images": [np.zeros((2 * HEIGHT, 2 * WIDTH, 3), np.uint8)]},
+        "late": {"images": [pattern(3)] * 5, "image_offset_s": 100.0},
+        "early": {"images": [pattern(n, touched=True) for n in range(len(DEPTHS_M))]},
+    }
+    if presses[-1] in options:
+        add_press(data_set, presses[-1], **options[presses[-1]])
+    with pytest.raises(ValueError, match=reason):
+        read(data_set, sensor, cache, presses)
 
 
 def test_data_set_without_images_is_refused(data_set, sensor, cache):
     write_index(data_set, [{"bag": "bags/ball_0", "indenter": "ball", "images": False}])
     with pytest.raises(ValueError, match="none of its trajectories holds images"):
-        read(data_set, sensor, cache)
-
-
-def test_bag_without_images_is_refused(data_set, sensor, cache):
-    add_press(data_set, "blind", None)
-    with pytest.raises(ValueError, match="blind holds no image on /tactile/image_raw/compressed"):
-        read(data_set, sensor, cache)
-
-
-def test_bag_without_poses_is_refused(data_set, sensor, cache):
-    add_press(data_set, "loose", [pattern(3)], with_pose=False)
-    with pytest.raises(ValueError, match="loose: no message on /indenter/pose"):
-        read(data_set, sensor, cache)
-
-
-def test_images_of_another_size_are_refused(data_set, sensor, cache):
-    add_press(data_set, "large", [np.zeros((2 * HEIGHT, 2 * WIDTH, 3), np.uint8)])
-    with pytest.raises(ValueError, match="it is 160x120, but the idle images 80x60"):
         read(data_set, sensor, cache)
 
 
@@ -230,28 +230,13 @@ def test_images_that_do_not_fit_the_camera_are_refused(sensor):
         camera_for(wide, pattern(), "measured/unit")
 
 
-def test_images_of_another_time_than_the_poses_are_refused(data_set, sensor, cache):
-    add_press(data_set, "late", [pattern(3)] * 5, image_offset_s=100.0)
-    with pytest.raises(ValueError, match="late: no image was taken while poses were recorded"):
-        read(data_set, sensor, cache)
-
-
-def test_idle_image_with_contact_is_refused(data_set, sensor, cache):
+def test_idle_images_with_a_contact_are_refused(data_set, sensor, cache):
     write_png(data_set / "idle_1.png", pattern(1, touched=True))
     with pytest.raises(ValueError, match=r"idle_1\.png differs .*something touched the gel"):
         read(data_set, sensor, cache)
-
-
-def test_idle_images_that_all_have_a_contact_are_refused(data_set, sensor, cache):
     for number in range(3):
         write_png(data_set / f"idle_{number}.png", pattern(number, touched=True))
     with pytest.raises(ValueError, match=r"another gel than 3 of 3 frames .*something in contact"):
-        read(data_set, sensor, cache)
-
-
-def test_press_whose_pose_is_wrong_is_told_from_a_bad_idle_image(data_set, sensor, cache):
-    add_press(data_set, "early", [pattern(n, touched=True) for n in range(len(DEPTHS_M))])
-    with pytest.raises(ValueError, match=r"early, frame 0 differs .*check that the pose"):
         read(data_set, sensor, cache)
 
 
@@ -272,24 +257,15 @@ def test_idle_images_must_be_there_and_in_colour(data_set, sensor, cache):
         read(data_set, sensor, cache)
 
 
-def test_dark_idle_images_are_refused(tmp_path):
+def test_noise_is_no_contact_and_the_dark_no_image(tmp_path):
     images = np.zeros((2, HEIGHT, WIDTH, 3), np.uint8)
     with pytest.raises(ValueError, match="dark"):
         mean_idle_image(images, [tmp_path / "idle_0.png", tmp_path / "idle_1.png"])
-
-
-def test_noise_is_no_contact():
     lit = np.ones((HEIGHT, WIDTH), dtype=bool)
     base = np.full((HEIGHT, WIDTH, 3), 100.0, np.float32)
     for deviation in (1.0, 3.0, 8.0):
         noise = np.random.default_rng(1).standard_normal(base.shape) * deviation
         assert difference(base + noise.astype(np.float32), base, lit).is_noise
-
-
-def test_press_without_measured_skin_is_refused(data_set, sensor, cache):
-    filmed = read(data_set, sensor, cache)
-    with pytest.raises((ValueError, FileNotFoundError)):
-        with_measured_skin(filmed, data_set)
 
 
 @pytest.mark.skipif(not SENSOR_A.is_dir(), reason="needs the measured data of the stand-in sensor")

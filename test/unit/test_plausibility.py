@@ -19,7 +19,12 @@ from dotsim_ros.data.data_set import DataSet, read_data_set
 from dotsim_ros.data.data_set_writer import write_data_set
 from dotsim_ros.data.measurement import read_measurement
 from dotsim_ros.data.plausibility import check_same_shape
-from dotsim_ros.data.reading import BadBagError, read_observation, read_press_images
+from dotsim_ros.data.reading import (
+    BadBagError,
+    read_observation,
+    read_observations,
+    read_press_images,
+)
 from dotsim_ros.data.trajectory import (
     ImageChannel,
     PoseChannel,
@@ -105,11 +110,7 @@ def turned_over(good: Trajectory) -> Trajectory:
 REFUSED: dict[str, tuple[Callable[[Trajectory], Trajectory], str]] = {
     "a force of zero": (
         forces(np.zeros_like),
-        r"press, /indenter/wrench: at 2\.4 mm .*the force is 0 N, the same as in every other frame",
-    ),
-    "the same force in all frames": (
-        forces(lambda f: np.tile([0.0, 0.0, 0.4], (len(f), 1))),
-        r"the force is 0\.4 N, the same as in every other frame",
+        r"/indenter/wrench: at 2\.4 mm .*the force is 0 N, the same as in every other frame",
     ),
     "a reversed force": (forces(np.negative), r"pulls the indenter into the gel.*reverse the sign"),
     "an indenter's +z into the gel": (turned_over, r"turn the indenter's frame so that \+z"),
@@ -132,18 +133,13 @@ REFUSED: dict[str, tuple[Callable[[Trajectory], Trajectory], str]] = {
     ),
     "a force frame ft_sensor": (
         framed("wrench", "ft_sensor"),
-        r"press, /indenter/wrench, message 0: frame_id is 'ft_sensor', expected 'densetact_base'",
+        r"/indenter/wrench, message 0: frame_id is 'ft_sensor', expected 'densetact_base'",
     ),
     "a pose frame world": (framed("pose", "world"), r"'base_frame: world' to dataset\.yaml"),
     "a skin frame camera": (framed("skin", "camera"), r"/tactile/skin, message 0: frame_id is"),
-    "an empty frame": (framed("pose", ""), r"frame_id is '', expected 'densetact_base'"),
     "skin vertices in reverse": (
         skins(lambda x: x[:, ::-1]),
         r"/tactile/skin, frame 0: \d+ % of the points lie more than .*order of skin_mesh\.npz",
-    ),
-    "skin points by height": (
-        skins(lambda x: np.stack([one[np.argsort(one[:, 2])] for one in x])),
-        r"order of skin_mesh\.npz",
     ),
     "a skin turned by a quarter": (
         skins(lambda x: x @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
@@ -164,6 +160,9 @@ REFUSED: dict[str, tuple[Callable[[Trajectory], Trajectory], str]] = {
 }
 
 
+CASES = tuple(REFUSED.values())
+
+
 def written(folder: Path, trajectory: Trajectory) -> DataSet:
     return write_data_set(folder / "data", [(trajectory, BALL)], skin=SKIN)
 
@@ -173,20 +172,28 @@ def read(data_set: DataSet, *, has_vertices: bool = True) -> None:
     read_observation(data_set, entry, skin=SKIN, has_vertices=has_vertices)
 
 
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    presses = [replace(change(press()), name=f"press {k}") for k, (change, _) in enumerate(CASES)]
+    folder = tmp_path_factory.mktemp("refused") / "data"
+    return write_data_set(folder, [(one, BALL) for one in presses], skin=SKIN)
+
+
 @pytest.mark.fault("bags and data sets", "a press that no gel gives")
 @pytest.mark.parametrize("what", list(REFUSED))
 def test_what_no_press_gives_is_refused(
-    tmp_path: Path, what: str, answered: Callable[..., None]
+    refused: DataSet, what: str, answered: Callable[..., None]
 ) -> None:
-    change, reason = REFUSED[what]
-    data_set = written(tmp_path, change(press()))
-    with pytest.raises(BadBagError, match=reason) as refused:
-        read(data_set)
-    assert "\n" not in str(refused.value)
-    answered(refused.value, what=what)
-    # The gap finder reads by the same gates: nothing is left to search.
+    entry = refused.entries[list(REFUSED).index(what)]
+    with pytest.raises(BadBagError, match=REFUSED[what][1]) as error:
+        read_observation(refused, entry, skin=SKIN, has_vertices=True)
+    assert "\n" not in str(error.value)
+    answered(error.value, what=what)
+
+
+def test_the_gap_finder_reads_by_the_same_gates(refused: DataSet) -> None:
     with pytest.raises(ValueError, match="no trajectory can be used"):
-        read_measurement(data_set.directory, own_skin=SKIN)
+        read_measurement(refused.directory, own_skin=SKIN)
 
 
 def hidden(name: str, size: float) -> Callable[[Trajectory], Trajectory]:
@@ -239,14 +246,18 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("what", list(FAULTS))
-def test_what_sensors_have_passes(tmp_path: Path, what: str) -> None:
-    read(written(tmp_path, FAULTS[what](press())))
-
-
-@pytest.mark.parametrize("modulus_pa", [5.0e3, 3.0e4, 1.0e6, 8.0e6])
-def test_gels_soft_and_hard_pass(tmp_path: Path, modulus_pa: float) -> None:
-    read(written(tmp_path, press(modulus_pa)))
+def test_what_sensors_have_passes(tmp_path: Path) -> None:
+    changed = {what: change(press()) for what, change in FAULTS.items()}
+    soft_to_hard = {f"{modulus:g} Pa": press(modulus) for modulus in (5.0e3, 3.0e4, 1.0e6, 8.0e6)}
+    presses = [
+        (replace(one, name=what.replace("/", " ")), BALL)
+        for what, one in (changed | soft_to_hard).items()
+    ]
+    data_set = write_data_set(tmp_path / "data", presses, skin=SKIN)
+    names = [entry.name for entry in data_set.entries]
+    found, omitted = read_observations(data_set, names, skin=SKIN, has_vertices=True)
+    assert not omitted
+    assert len(found) == len(FAULTS) + 4
 
 
 def test_points_need_no_order_where_there_is_no_mesh(tmp_path: Path) -> None:
@@ -284,13 +295,6 @@ def test_images_by_another_clock_are_refused(
     with pytest.raises(BadBagError, match=r"begins and ends 0\.90 s after /indenter/pose") as error:
         read_press_images(entry, idle=IDLE)
     answered(error.value, what=f"{channel} stamped 0.9 s later than the poses")
-
-
-def test_images_with_poses_in_another_frame_are_refused(tmp_path: Path) -> None:
-    images = ImageChannel(STAMP_NS, FILM)
-    (entry,) = written(tmp_path, framed("pose", "world")(replace(press(), image=images))).entries
-    with pytest.raises(BadBagError, match="frame_id is 'world'"):
-        read_press_images(entry, idle=IDLE)
 
 
 @pytest.mark.fault("bags and data sets", "a camera that gives one image again and again")

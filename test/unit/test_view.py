@@ -3,7 +3,6 @@
 
 """The command line and its `view`: real files of a real bag, read back."""
 
-import importlib.util
 import os
 import resource
 import shutil
@@ -60,19 +59,17 @@ def bag(tmp_path_factory):
 
 
 def test_view_writes_video_gif_and_sheet(bag, tmp_path, capsys):
-    assert main(["view", str(bag), "--out", str(tmp_path), "--format", "both"]) == 0
+    # At half the speed.
+    arguments = ["view", str(bag), "--out", str(tmp_path), "--format", "both", "--speed", "0.5"]
+    assert main(arguments) == 0
     printed = capsys.readouterr().out.split()
-    assert sorted(os.path.basename(path) for path in printed) == [
-        "press.gif",
-        "press.mp4",
-        "press.png",
-    ]
-    assert sorted(os.listdir(tmp_path)) == ["press.gif", "press.mp4", "press.png"]
+    made = sorted(os.path.basename(path) for path in printed)
+    assert made == sorted(os.listdir(tmp_path)) == ["press.gif", "press.mp4", "press.png"]
     frames = list(imageio.get_reader(tmp_path / "press.mp4").iter_data())
-    assert len(frames) == COUNT
+    assert len(frames) == 2 * COUNT - 1
     assert frames[0].shape == (720, 1280, 3)
     # The image of the bag lies at the left of the frame and brightens.
-    places = [frame[200, 150].astype(float).mean() for frame in frames]
+    places = [frame[200, 150].astype(float).mean() for frame in frames[::2]]
     assert np.allclose(places, 60 + 120 * np.arange(COUNT) / (COUNT - 1), atol=6)
     sheet = cv2.imread(str(tmp_path / "press.png"))
     assert sheet.shape[0] > 600
@@ -80,24 +77,11 @@ def test_view_writes_video_gif_and_sheet(bag, tmp_path, capsys):
     assert len(imageio.mimread(tmp_path / "press.gif")) >= 2
 
 
-def test_slower_video_has_more_frames(bag, tmp_path):
-    assert main(["view", str(bag), "--out", str(tmp_path), "--speed", "0.5"]) == 0
-    assert len(list(imageio.get_reader(tmp_path / "press.mp4").iter_data())) == 2 * COUNT - 1
-
-
-def test_sheet_alone(bag, tmp_path):
-    arguments = ["view", str(bag), "--out", str(tmp_path), "--format", "none", "--columns", "3"]
-    assert main(arguments) == 0
-    assert os.listdir(tmp_path) == ["press.png"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
         (["{tmp}/nothing"], "no bag"),
         (["{tmp}"], "no ROS 2 bag"),
-        (["{bag}", "--image", "/wrench"], "no topic /wrench of type"),
-        (["{bag}", "--image", "/depth/image"], "holds depth"),
         (["{bag}", "--image", "/depth/image", "--depth", "/image_raw"], "expected 32FC1"),
         (["{bag}", "--image", "/image_raw", "--depth", "/image_raw"], "two things"),
         (["{bag}", "--rest", "{tmp}/rest.npz"], "rest.npz"),
@@ -111,26 +95,14 @@ def test_bad_input_is_told_and_leaves_nothing(bag, tmp_path, capsys, arguments, 
     assert not out.exists() or not os.listdir(out)
 
 
-@pytest.mark.parametrize("arguments", [[], ["dance"], ["view"], ["view", "a", "--fps", "-1"]])
-def test_wrong_command_line_is_told(arguments, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(arguments)
-    assert stopped.value.code == 2
-    assert "usage: dotsim_ros" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("option", "value", "expected"),
     [
         ("--fps", "1e9", "from 0.1 to 240"),
-        ("--fps", "0", "from 0.1 to 240"),
         ("--fps", "nan", "from 0.1 to 240"),
-        ("--fps", "fast", "from 0.1 to 240"),
         ("--speed", "1e-9", "from 0.001 to 1000"),
-        ("--speed", "inf", "from 0.001 to 1000"),
         ("--columns", "0", "from 1 to 24"),
         ("--columns", "9" * 5000, "from 1 to 24"),
-        ("--columns", "6.5", "from 1 to 24"),
     ],
 )
 @pytest.mark.fault("view", "")
@@ -164,15 +136,12 @@ def test_endless_video_is_refused_before_anything_is_drawn(tmp_path, capsys, ans
 
 
 def test_dots_are_part_of_a_name(noisy_bag, tmp_path):
-    for name in ("press_0.5mm", "press_0.7mm", "a$b"):
-        shutil.copytree(noisy_bag, tmp_path / name)
-        arguments = ["view", str(tmp_path / name), "--out", str(tmp_path / "out")]
-        assert main([*arguments, "--format", "none", "--columns", "1"]) == 0
+    shutil.copytree(noisy_bag, tmp_path / "press_0.5mm")
     # Its file alone has the name of the bag, too.
-    file = tmp_path / "press_0.5mm" / "press.mcap"
-    assert main(["view", str(file), "--out", str(tmp_path / "out"), "--format", "none"]) == 0
-    written = sorted(os.listdir(tmp_path / "out"))
-    assert written == ["a$b.png", "press.png", "press_0.5mm.png", "press_0.7mm.png"]
+    for path in (tmp_path / "press_0.5mm", tmp_path / "press_0.5mm" / "press.mcap"):
+        arguments = ["view", str(path), "--out", str(tmp_path / "out")]
+        assert main([*arguments, "--format", "none", "--columns", "1"]) == 0
+    assert sorted(os.listdir(tmp_path / "out")) == ["press.png", "press_0.5mm.png"]
 
 
 @pytest.fixture(scope="module")
@@ -265,20 +234,6 @@ def test_recording_that_was_cut_short_is_shown_up_to_its_end(bag, tmp_path, caps
     assert "record --repair" in said.err
     assert os.listdir(tmp_path / "out") == ["short.partial.png"]
     answered(said.err)
-
-
-@pytest.mark.fault("view", "a bag with a flipped bit")
-def test_damaged_bag_is_refused(bag, tmp_path, capsys, answered):
-    spoilt = tmp_path / "spoilt"
-    shutil.copytree(bag, spoilt)
-    octets = bytearray((spoilt / "press.mcap").read_bytes())
-    octets[len(octets) // 2] ^= 4
-    (spoilt / "press.mcap").write_bytes(octets)
-    assert main(["view", str(spoilt), "--out", str(tmp_path / "out")]) == 1
-    error = capsys.readouterr().err
-    assert "its checksum does not match" in error
-    assert not (tmp_path / "out").exists()
-    answered(error)
 
 
 def bag_of(path, *messages):
@@ -434,23 +389,13 @@ def test_sheet_takes_the_strongest_of_each_part():
 
 def test_skin_map_puts_each_side_in_its_place():
     rest = dome_skin(0.01575, 0.001).rest_position_m
-    raster = SkinMap(rest, size_px=101).raster(rest[:, 0])
-    assert raster[50, 90] > 0.008
-    assert raster[50, 10] < -0.008
-    assert abs(raster[50, 50]) < 1e-3
-    assert np.isnan(raster[0, 0])
-    down = SkinMap(rest, size_px=101).raster(rest[:, 1])
+    skin_map = SkinMap(rest, size_px=101)
+    across, down = (skin_map.raster(rest[:, axis]) for axis in (0, 1))
+    assert across[50, 90] > 0.008
+    assert across[50, 10] < -0.008
+    assert abs(across[50, 50]) < 1e-3
+    assert np.isnan(across[0, 0])
     assert down[90, 50] > 0.008
-
-
-def test_plotting_needs_no_display():
-    assert importlib.util.find_spec("matplotlib") is not None
-    code = (
-        "import dotsim_ros.view.bag, sys; "
-        "print('matplotlib.pyplot' in sys.modules, 'tkinter' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "False"]
 
 
 @pytest.mark.fault("view", "a number of columns that is two lines of text")
