@@ -66,12 +66,8 @@ class BagFile:
 
     Args:
         path: folder of the bag; its name becomes that of the mcap file.
-        keep_unfinished: the folder is that of `unfinished_path`, where a user finds it after a
-            crash; else a hidden one.
-
-    Attributes:
-        path: where the bag will be.
-        folder: where it is.
+        keep_unfinished: `folder`, where the bag is meanwhile, is that of `unfinished_path`, where
+            a user finds it after a crash; else a hidden one.
 
     Raises:
         FileExistsError: there is something at `path` already, or an unfinished recording of it.
@@ -192,7 +188,6 @@ class BagFile:
 
         Raises:
             ValueError: a log time below 0 or beyond 2^63 - 1; nothing is written.
-            OSError: as `flush`.
         """
         self._writer.write(self._channels[topic], log_time_ns, serialized)
 
@@ -203,10 +198,7 @@ class BagFile:
         self.write_serialized(topic, stamp_ns, TYPESTORE.serialize_cdr(message, message_type))
 
     def flush(self, *, sync: bool = False) -> None:
-        """Write what waits in memory.
-
-        Args:
-            sync: wait until it is on the disk.
+        """Write what waits in memory; with `sync`, wait until it is on the disk.
 
         Raises:
             OSError: it does not fit on the disk; it is lost, and the bag can be finished without.
@@ -285,9 +277,6 @@ class BagReader:
         path: folder of the bag, or its .mcap or .db3 file.
         tolerance: what the bag may be; what is wrong with it is in `damage` then. An unfinished
             one may lack its metadata.yaml.
-
-    Attributes:
-        damage: what is wrong with the bag, a sentence each; more may come while messages are read.
 
     Raises:
         FileNotFoundError: nothing is there.

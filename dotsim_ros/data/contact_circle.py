@@ -40,12 +40,7 @@ CONTACT_REACH = 1.5
 
 @dataclass(frozen=True)
 class ContactCircle:
-    """Where a ball touches.
-
-    Attributes:
-        centre_px: (2,) x then y, the first pixel's centre being 0, 0.
-        radius_px: of the contact.
-    """
+    """Where a ball touches: centre (2,), x then y from that of the first pixel; and radius."""
 
     centre_px: FloatArray
     radius_px: float
@@ -58,14 +53,7 @@ class ContactCircle:
 
 @dataclass(frozen=True)
 class BallPress:
-    """One photograph of the ball.
-
-    Attributes:
-        name: of the file.
-        centre_px: (2,) centre of the circle of contact, x then y.
-        radius_px: its radius.
-        image: (H, W, 3) uint8, red, green, blue.
-    """
+    """One photograph (H, W, 3) of the ball, by the name of its file, and its circle of contact."""
 
     name: str
     centre_px: FloatArray
@@ -94,14 +82,11 @@ def colour_difference(image: ImageArray, idle: ImageArray, blur_px: float) -> Fl
 
 
 def find_contact_circles(image: ImageArray, idle: ImageArray) -> list[ContactCircle]:
-    """Return the contacts in a photograph, the clearest first; none where nothing touches.
-
-    Args:
-        image: (H, W, 3) uint8.
-        idle: the same without contact.
+    """Return the contacts in a photograph (H, W, 3), the clearest first; none where nothing
+    touches.
 
     Raises:
-        ValueError: the photographs have different sizes.
+        ValueError: the photograph without contact has another size.
     """
     if image.shape != idle.shape:
         raise ValueError(

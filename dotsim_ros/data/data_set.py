@@ -83,13 +83,7 @@ class WeightEntry:
 
 @dataclass(frozen=True)
 class DataSet:
-    """What a data set's folder holds; bags are read when asked.
-
-    Attributes:
-        directory: the folder.
-        entries: its trajectories, in the order of the index.
-        weights: recordings of known weights.
-    """
+    """What a data set's folder holds, in the order of its index; bags are read when asked."""
 
     directory: Path
     entries: tuple[DataSetEntry, ...]
@@ -149,10 +143,8 @@ class DataSet:
         return tuple(sorted(self.directory.glob("idle_*.png")))
 
     def indenter_file(self, indenter: str, folder: str | Path | None = None) -> Path:
-        """Return the file of an indenter: a mesh in metres, tip at the origin, +z off the gel, or
-        a YAML file that describes one.
-
-        Every command looks for indenters by this rule.
+        """Return the file of an indenter: a mesh in metres, tip at the origin, +z off the gel, or a
+        YAML file that describes one. Every command looks for indenters by this rule.
 
         Args:
             indenter: its name.
@@ -282,12 +274,7 @@ def read_data_set(directory: str | Path) -> DataSet:
 
 
 def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None = None) -> Indenter:
-    """Return an indenter by its name, or by a definition in its place.
-
-    Args:
-        data_set: that names it.
-        name: of the indenter, or a definition as `load_indenter` takes it.
-        indenters: folder of their files; None as `DataSet.indenter_file`.
+    """Return an indenter by its name, or by a definition in its place, as `load_indenter` takes it.
 
     Raises:
         FileNotFoundError: no file of this name; the text lists where it was looked for.

@@ -67,12 +67,7 @@ class RecordedFrame(Protocol):
 def trajectory_of_frames(
     frames: Sequence[RecordedFrame], *, name: str, channels: Sequence[str] = tuple(CHANNELS)
 ) -> Trajectory:
-    """Return the trajectory that frames of the sensor make, one after the other.
-
-    Args:
-        frames: from the first one after a reset on.
-        name: of the trajectory.
-        channels: which to keep, of "pose", "wrench", "skin" and "image".
+    """Return the trajectory that frames of the sensor, from the first one after a reset on, make.
 
     Raises:
         ValueError: no frame, a frame without an indenter, times that do not increase, or an
@@ -168,8 +163,7 @@ class DataSetWriter:
         kept as `NAME.kept`.
 
         Args:
-            trajectory: its name becomes the bag's.
-            indenter: its name becomes the mesh's.
+            trajectory, indenter: their names become those of the files.
             notes: entered into the index next to what a data set needs.
             failure: why frames are missing; such a trajectory does not count as held.
 
@@ -288,7 +282,7 @@ def write_data_set(
     idle_images: Iterable[ImageArray] = (),
     indenter_step_m: float = STEP_M,
 ) -> DataSet:
-    """Write a data set, whole or not at all; `DataSetWriter` writes one that grows.
+    """Write a data set, whole or not at all, and return it; `DataSetWriter` writes one that grows.
 
     Args:
         directory: its folder, which must not exist.
@@ -297,9 +291,6 @@ def write_data_set(
             are no clouds, or where they list no vertices.
         idle_images: (H, W, 3) uint8 each, red, green, blue, of the sensor without contact.
         indenter_step_m: as for `DataSetWriter`.
-
-    Returns:
-        The data set, as `read_data_set` reads it.
 
     Raises:
         FileExistsError: there is something at `directory`.

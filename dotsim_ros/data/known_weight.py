@@ -29,13 +29,7 @@ LARGEST_SCALE = 10.0
 
 @dataclass(frozen=True)
 class ForceScale:
-    """What a gauge reads over what it carries.
-
-    Attributes:
-        scale: 1 for a gauge that is right.
-        deviation: one deviation of it.
-        names: of the weights' bags.
-    """
+    """What a gauge reads over what it carries, 1 where it is right, by the weights of some bags."""
 
     scale: float
     deviation: float
@@ -51,11 +45,8 @@ class ForceScale:
 def read_weight(entry: WeightEntry, *, topics: Topics = MEASURED_TOPICS) -> ForceScale:
     """Return the scale of a gauge by one weight.
 
-    Its deviation is that of the weight and that of the frames' medians.
-
     Raises:
-        FileNotFoundError: no bag there.
-        ValueError: a bag without forces, too few frames, or a reading that is of no weight.
+        ValueError: no bag with forces, too few frames, or a reading that is of no weight.
     """
     wrench = read_trajectory(entry.bag, topics=topics, channels=("wrench",)).wrench
     if wrench is None or not np.all(np.isfinite(wrench.force_n)):

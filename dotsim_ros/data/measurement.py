@@ -51,11 +51,7 @@ class Measurement:
 
 def holds_skin_or_force(directory: str | Path, *, topics: Topics = MEASURED_TOPICS) -> bool:
     """Return whether a bag of a data set holds the skin or the force; a bag that cannot be read
-    counts as one that does, so that reading it tells what is wrong.
-
-    Raises:
-        FileNotFoundError, ValueError: as `read_data_set`.
-    """
+    counts as one that does, so that reading it reports what is wrong."""
     for entry in read_data_set(directory).entries:
         try:
             with BagReader(entry.bag) as bag:
@@ -130,11 +126,9 @@ def read_poses(
 ) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
     """Return the motions of a data set, measured or only planned, and what was left out.
 
-    The recordings have force and skin of zeros, so that their observables are those that would be
-    measured.
+    Force is zero and the skin at rest, so that the observables are those that would be measured.
 
     Raises:
-        FileNotFoundError: no data set there.
         ValueError: no trajectory of it has poses.
     """
     data_set = read_data_set(directory)
@@ -189,13 +183,8 @@ def protocol_of(recording: Recording) -> str:
 
 
 def one_of_each(protocols: Sequence[str], random: np.random.Generator) -> list[int]:
-    """Return the places of the trajectories to hold out: one of each protocol that is repeated,
-    those repeated most first, and at most `HELD_OUT_SHARE` of all.
-
-    Args:
-        protocols: of each trajectory, by `protocol_of`.
-        random: draws the one.
-    """
+    """Return the places of the trajectories to hold out, by their protocols: one of each that is
+    repeated, those repeated most first, and at most `HELD_OUT_SHARE` of all."""
     groups: dict[str, list[int]] = {}
     for place, protocol in enumerate(protocols):
         groups.setdefault(protocol, []).append(place)

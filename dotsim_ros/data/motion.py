@@ -85,11 +85,6 @@ def at_speed(
 
     Poses that repeat the one before are dropped; use `joined` and `held` for pauses.
 
-    Args:
-        poses: at least one.
-        speed_m_s: speed of the frame's origin.
-        rotation_rate_rad_s: largest rate of rotation.
-
     Raises:
         ValueError: no pose, or a speed that is not positive.
     """
@@ -159,14 +154,9 @@ def reversed_motion(motion: Motion) -> Motion:
 
 
 def pose_along(origin_m: ArrayLike, axis: ArrayLike, *, spin_rad: float = 0.0) -> Pose:
-    """Return the pose of a frame at `origin_m` whose +z points along `axis`.
+    """Return the pose of a frame at `origin_m` (3,) whose +z points along `axis` (3,).
 
     The frame is turned by the smallest rotation from the base frame, then about its own z.
-
-    Args:
-        origin_m: (3,).
-        axis: (3,) of any length but zero.
-        spin_rad: rotation about the frame's z axis.
 
     Raises:
         ValueError: the axis has no length.

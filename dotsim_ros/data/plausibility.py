@@ -47,12 +47,7 @@ LIKE_M = 4.0e-3
 
 
 def check_same_shape(skin: SkinMesh, own: SkinMesh, *, data: str, sensor: str) -> None:
-    """Refuse the skin of a data set that is not that of the sensor.
-
-    Args:
-        skin: of the data set.
-        own: of the sensor.
-        data, sensor: their names, for the message.
+    """Refuse the skin of a data set that is not that of the sensor, both named for the message.
 
     Raises:
         ValueError: the skins lie apart.
@@ -75,8 +70,7 @@ def check_press(
     """Refuse a press whose channels do not belong together.
 
     Args:
-        press: as measured.
-        indenter: what pressed.
+        press, indenter: as measured.
         skin: at rest; of the data set, or of the sensor where that has none.
         has_vertices: whether the measured skin lists its vertices.
         topics: of its channels, for the message.

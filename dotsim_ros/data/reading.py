@@ -421,10 +421,7 @@ def starts_in_session(
 ) -> list[float]:
     """Return when each trajectory of a data set began, s after the first.
 
-    Args:
-        data_set: whose trajectories.
-        spans_s: of their poses; None for one that was not read, whose poses are then read alone.
-        topics: where the poses lie.
+    The poses of one whose span is None, which was not read, are read alone.
     """
     known: list[Span | None] = []
     for entry, span_s in zip(data_set.entries, spans_s, strict=True):

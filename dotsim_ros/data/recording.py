@@ -69,13 +69,7 @@ class Recording:
 
 
 def phases_of(poses: Sequence[Pose], stamp_s: FloatArray, depth_m: FloatArray) -> tuple[Phase, ...]:
-    """Return what the indenter does up to each of F frames.
-
-    Args:
-        poses: F of the indenter.
-        stamp_s: (F,) increasing.
-        depth_m: (F,) of the tip below the skin at rest.
-    """
+    """Return what the indenter does up to each of F frames, by the depths (F,) of its tip."""
     position = np.stack([pose.position_m for pose in poses])
     found = []
     for frame in range(len(poses)):

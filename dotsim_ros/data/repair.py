@@ -16,13 +16,8 @@ from dotsim_ros.data.mcap.reader import Tolerance
 
 @dataclass(frozen=True)
 class Repaired:
-    """What became of a bag.
-
-    Attributes:
-        bag: folder of the new one.
-        counts: messages of each topic in it.
-        damage: what was wrong with the old one, in words.
-    """
+    """What became of a bag: the new one, the messages of each topic in it, what was wrong with the
+    old."""
 
     bag: Path
     counts: Mapping[str, int]
@@ -41,17 +36,13 @@ def repaired_path(path: str | Path) -> Path:
 def repair_bag(path: str | Path, out: str | Path | None = None) -> Repaired:
     """Write a bag, with an index and metadata.yaml, of all that can be read of another.
 
-    The other is left as it is. Chunks whose checksum does not match are left out.
-
-    Args:
-        path: folder of the bag, or its .mcap file.
-        out: folder of the new bag, which must not exist; None: `repaired_path`.
+    The other is left as it is. Chunks whose checksum does not match are left out. Without `out`
+    the bag goes to `repaired_path`.
 
     Raises:
         FileNotFoundError: nothing is there.
-        FileExistsError: there is something at `out`.
         ValueError: no message can be read.
-        OSError: the new bag cannot be written.
+        OSError: the new bag cannot be written, or there is something at `out`.
     """
     out = repaired_path(path) if out is None else Path(out)
     counts: Counter[str] = Counter()

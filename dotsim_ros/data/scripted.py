@@ -90,17 +90,7 @@ def _approach(site: Site, depth_m: float, speed_m_s: float) -> Motion:
 def press_hold_release(
     site: Site, *, depth_m: float, hold_s: float = 0.5, speed_m_s: float = 0.005
 ) -> Motion:
-    """Return a press along the skin's normal, a hold, and the release on the same way.
-
-    Args:
-        site: where.
-        depth_m: how deep.
-        hold_s: how long to stay there.
-        speed_m_s: of the tip.
-
-    Raises:
-        ValueError: a depth, hold or speed out of range.
-    """
+    """Return a press along the skin's normal, a hold, and the release on the same way."""
     press = _approach(site, depth_m, speed_m_s)
     return joined(press, held(press.poses[-1], hold_s), reversed_motion(press))
 
@@ -155,18 +145,8 @@ def twist(
     speed_m_s: float = 0.005,
     rotation_rate_rad_s: float = 0.5,
 ) -> Motion:
-    """Return a press, a turn about the indenter's axis and back, and the release.
-
-    Args:
-        site: where.
-        depth_m: how deep.
-        angle_rad: how far to turn, either way.
-        speed_m_s: of the tip in the press and the release.
-        rotation_rate_rad_s: of the turn.
-
-    Raises:
-        ValueError: a value out of range.
-    """
+    """Return a press, a turn about the indenter's axis by an angle, either way, and back, and the
+    release."""
     if angle_rad == 0.0:
         raise ValueError("a twist needs an angle")
     press = _approach(site, depth_m, speed_m_s)

@@ -54,13 +54,7 @@ PRESSES_FORMS = {
 
 @dataclass(frozen=True)
 class ShippedPress:
-    """One real press.
-
-    Attributes:
-        index: its number in the recording.
-        gel: which gel.
-        centre_m: (N, 3) centre of the round tip in the base frame of the real gel.
-    """
+    """One real press on a gel: (N, 3) centre of the round tip in the base frame of the real gel."""
 
     index: int
     gel: str
@@ -69,12 +63,8 @@ class ShippedPress:
     def poses(self, *, outer_radius_m: float, indenter_radius_m: float) -> list[Pose]:
         """Return the indenter's poses on a dome, tip frame in the base frame.
 
-        The indenter's +z points against the press, so that its tip leads.
-
-        Args:
-            outer_radius_m: radius of the dome to press.
-            indenter_radius_m: distance from the tip to the point that the stage's positions are
-                taken for: the radius of a sphere.
+        The indenter's +z points against the press, so that its tip leads. The stage's positions are
+        taken for the point `indenter_radius_m` behind the tip: the centre of a sphere.
         """
         first = self.centre_m[0]
         outward = first / np.linalg.norm(first)
@@ -96,14 +86,8 @@ class ShippedPress:
     ) -> Motion:
         """Return the press from a clearance off its first point, a hold, and the way back.
 
-        Args:
-            outer_radius_m: radius of the dome to press.
-            indenter_radius_m: see `poses`.
-            speed_m_s: of the tip; the stage's was not recorded.
-            hold_s: how long to stay at the deepest point.
-            depth_limit_m: the press turns where the indenter's centre has come this much nearer
-                to the dome's than at first contact.
-            clearance_m: gap before the first point.
+        It turns where the indenter's centre has come `depth_limit_m` nearer to the dome's than at
+        first contact.
 
         Raises:
             ValueError: a speed, hold, limit or clearance out of range.
@@ -125,15 +109,11 @@ class ShippedPress:
 
 
 def read_presses(path: str | Path) -> tuple[ShippedPress, ...]:
-    """Read a recording of real presses.
-
-    Args:
-        path: the `presses.npz`.
+    """Read a recording of real presses, a `presses.npz`.
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: it holds no such arrays, arrays that do not fit, or a gel whose centre is not
-            known.
+        ValueError: it holds no such arrays, arrays that do not fit, or an unknown gel.
     """
     path = Path(path)
     if not path.is_file():

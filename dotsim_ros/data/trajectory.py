@@ -42,14 +42,7 @@ RECORDED_TOPICS = Topics(wrench="/wrench", skin="/points", image="/image_raw")
 
 @dataclass(frozen=True)
 class PoseChannel:
-    """Poses of the indenter's frame in the base frame.
-
-    Attributes:
-        stamp_ns: (N,) increasing.
-        position_m: (N, 3).
-        quaternion_xyzw: (N, 4) of unit length.
-        frame_id: the base frame.
-    """
+    """Poses of the indenter's frame in the base frame; quaternions of unit length, scalar last."""
 
     stamp_ns: IntArray
     position_m: FloatArray
@@ -66,14 +59,8 @@ class PoseChannel:
 
 @dataclass(frozen=True)
 class WrenchChannel:
-    """Forces and torques of the gel on the indenter.
-
-    Attributes:
-        stamp_ns: (N,) increasing.
-        force_n: (N, 3).
-        torque_nm: (N, 3) about the frame's origin; zero where it was not measured.
-        frame_id: the frame they are expressed in.
-    """
+    """Forces and torques (zero where not measured) of the gel on the indenter, about the frame's
+    origin."""
 
     stamp_ns: IntArray
     force_n: FloatArray
@@ -83,13 +70,7 @@ class WrenchChannel:
 
 @dataclass(frozen=True)
 class SkinChannel:
-    """The outer skin, every frame in the order of the same vertices.
-
-    Attributes:
-        stamp_ns: (N,) increasing.
-        position_m: (N, V, 3) float32.
-        frame_id: the frame of the points.
-    """
+    """The outer skin (N, V, 3), every frame in the order of the same vertices."""
 
     stamp_ns: IntArray
     position_m: NDArray[np.float32]
@@ -98,13 +79,7 @@ class SkinChannel:
 
 @dataclass(frozen=True)
 class ImageChannel:
-    """The camera's images.
-
-    Attributes:
-        stamp_ns: (N,) increasing.
-        pixels: (N, H, W, 3) uint8 RGB.
-        frame_id: the optical frame.
-    """
+    """The camera's images (N, H, W, 3), red, green, blue."""
 
     stamp_ns: IntArray
     pixels: NDArray[np.uint8]
@@ -156,14 +131,8 @@ def _check_channel(name: str, channel: Channel) -> None:
 
 @dataclass(frozen=True)
 class _Form:
-    """How a channel is made of messages, and messages of it.
-
-    Attributes:
-        channel: its class.
-        types: of the messages.
-        decode: returns a message's row of each array of the channel.
-        encode: makes a message of such rows.
-    """
+    """How a channel is made of messages of some types, and messages of it: `decode` returns a
+    message's row of each of its arrays, `encode` makes a message of such rows."""
 
     channel: Callable[..., Channel]
     types: tuple[str, ...]
@@ -226,12 +195,7 @@ class Row:
 
 
 def decoded(message: BagMessage, name: str, place: str) -> Row:
-    """Return a message of a channel, decoded.
-
-    Args:
-        message: of a bag.
-        name: of the channel.
-        place: of the message, for the error.
+    """Return a message of the channel of a name, decoded; errors begin with its place.
 
     Raises:
         ValueError: it is malformed.
@@ -269,15 +233,10 @@ def channel_of(name: str, rows: Sequence[Row]) -> Any:
 
 
 def check_types(there: Mapping[str, str], topic_of: Mapping[str, str], place: str) -> None:
-    """Refuse a topic of a type that its channel is not read from.
-
-    Args:
-        there: type of each topic of a bag.
-        topic_of: topic of each channel.
-        place: name of the bag, for the error.
+    """Refuse topics of a bag, with their types, that a channel is not read from.
 
     Raises:
-        ValueError: it has another type.
+        ValueError: a topic has another type than its channel's; the text begins with the place.
     """
     for name, topic in topic_of.items():
         types = CHANNELS[name].types

@@ -80,13 +80,8 @@ class PressProfiles:
     upward_m: FloatArray
 
     def displace(self, skin: SkinMesh, axis_m: FloatArray, contact_radius_m: float) -> FloatArray:
-        """Return the skin (V, 3) pressed next to the middle.
-
-        Args:
-            skin: at rest.
-            axis_m: (2,) where the ball's axis meets the pad, x and y in the base frame.
-            contact_radius_m: of the circle of contact; beyond those known, the nearest one.
-        """
+        """Return the skin (V, 3) pressed where the ball's axis (2,) meets the pad, base frame, with
+        a circle of contact; beyond the circles known, with the nearest one."""
         known = self.contact_radius_m
         place = float(np.interp(contact_radius_m, known, np.arange(len(known), dtype=np.float64)))
         lower = min(int(place), len(known) - 2)
@@ -114,12 +109,6 @@ def press_depths_m(
     """Return the depths (D,) to press a ball to, from `FIRST_DEPTH` over `LAST_DEPTH` on.
 
     They end deep enough for the widest circle of contact, and before the ball is too near the base.
-
-    Args:
-        gel: with the ball.
-        thickness_m: of the pad.
-        ball_radius_m: of the ball.
-        widest_m: radius of the widest circle that is asked for.
     """
     depths = ball_radius_m * np.linspace(FIRST_DEPTH, LAST_DEPTH, DEPTH_COUNT)
     last = float(depths[-1])
@@ -188,14 +177,7 @@ def press_profiles(
 
 @dataclass(frozen=True)
 class FlatScene:
-    """A camera over a pad, and what it sees at rest.
-
-    Attributes:
-        camera: without distortion.
-        skin: of the pad.
-        rest: what is seen of it untouched.
-        pixels_per_metre: of the flat gel.
-    """
+    """A camera without distortion over a pad, and what it sees of the gel untouched."""
 
     camera: Camera
     skin: SkinMesh

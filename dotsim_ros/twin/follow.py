@@ -41,13 +41,8 @@ class GelAnswer(Protocol):
 
 @dataclass(frozen=True)
 class SimulatedPress:
-    """What a gel gives for the F frames of a press.
-
-    Attributes:
-        skin_position_m: (F, V, 3), base frame.
-        force_n: (F, 3) of the gel on the indenter, base frame.
-        converged: whether every frame met the tolerance.
-    """
+    """What a gel gives for the F frames of a press: skin (F, V, 3) and force (F, 3) on the
+    indenter, base frame, and whether every frame met the solver's tolerance."""
 
     skin_position_m: FloatArray
     force_n: FloatArray
@@ -57,14 +52,10 @@ class SimulatedPress:
 def steps(
     poses: Sequence[Pose], stamp_s: FloatArray, *, longest_step_s: float = np.inf
 ) -> Iterator[tuple[Pose, float, bool]]:
-    """Yield (pose, duration in seconds, whether it ends a frame) along F poses.
+    """Yield (pose, duration in seconds, whether it ends a frame) along F poses and their times.
 
-    One step leads to the first frame; what lies between two frames is divided evenly.
-
-    Args:
-        poses: F of the indenter.
-        stamp_s: (F,) their times.
-        longest_step_s: no step is longer.
+    One step leads to the first frame; what lies between two frames is divided evenly, into steps
+    that are not too long.
     """
     yield poses[0], min(FIRST_STEP_S, longest_step_s), True
     for (start, end), (before_s, after_s) in zip(
@@ -88,8 +79,7 @@ def follow(
 
     Args:
         step: moves the gel's indenter to a pose in so many seconds; the gel is at rest.
-        poses: F of the indenter, base frame.
-        stamp_s: (F,) their times.
+        poses, stamp_s: of the indenter, base frame.
         longest_step_s: steps between two frames are no longer; the gel itself takes substeps.
 
     Raises:

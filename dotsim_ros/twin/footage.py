@@ -92,13 +92,7 @@ class OpticalPress:
 
 @dataclass(frozen=True)
 class OpticalData:
-    """What one camera saw of several presses.
-
-    Attributes:
-        camera: at the measured resolution.
-        rest: of the gel untouched.
-        presses: in the order asked for.
-    """
+    """What a camera, at the measured resolution, saw of several presses and of the gel at rest."""
 
     camera: Camera
     rest: Rest
@@ -222,12 +216,7 @@ def read_filmed_data(
 def with_measured_skin(
     filmed: FilmedData, directory: str | Path, *, topics: Topics = MEASURED_TOPICS
 ) -> FilmedData:
-    """Return the same images with the skin as it was measured next to them.
-
-    Args:
-        filmed: of this data set.
-        directory: of the data set.
-        topics: where skin and image lie in the bags.
+    """Return the same images with the skin as the data set has it measured next to them.
 
     Raises:
         ValueError: a press without a measured skin, or one that was measured at other times than
@@ -254,12 +243,7 @@ def with_measured_skin(
 
 
 def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> Camera:
-    """Return the sensor's camera at the resolution of a measured image (H, W, 3).
-
-    Args:
-        sensor: whose camera.
-        image: that it took.
-        source: where the image comes from, for messages.
+    """Return the sensor's camera at the resolution of a measured image (H, W, 3) from a source.
 
     Raises:
         ValueError: the image has another aspect ratio than the camera's.
@@ -308,13 +292,7 @@ def twin_renderers(
 def render_filmed(
     filmed: FilmedData, camera: Camera, *, lighting: Lighting, vignetting: Vignetting
 ) -> OpticalData:
-    """Return what a camera sees of presses.
-
-    Args:
-        filmed: images and skins.
-        camera: at the images' resolution.
-        lighting: the LEDs.
-        vignetting: of the camera.
+    """Return what a camera at the images' resolution sees of presses.
 
     Raises:
         ValueError: the camera has another size than the images.
@@ -375,14 +353,7 @@ def _untouched_frames(press: Press, indenter: Indenter, skin: SkinMesh) -> list[
 
 
 class SkinFollower:
-    """Lets one gel follow presses, or finds on disk where its skin went before.
-
-    Args:
-        sensor: whose gel it is.
-        skin: the sensor's own, at rest.
-        cache: folder of the skins that were computed before.
-        say: called with a line where a press is followed.
-    """
+    """Lets one gel follow presses, or finds in a folder of skins where its skin went before."""
 
     def __init__(
         self, sensor: SensorSpecification, skin: SkinMesh, cache: Path, say: Progress

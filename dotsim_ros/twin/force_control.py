@@ -32,13 +32,7 @@ class ForceNotReachedError(ValueError):
 
 @dataclass(frozen=True)
 class ForcedPose:
-    """Where a force is reached.
-
-    Attributes:
-        pose: of the indenter.
-        force_n: of the gel on it along its +z.
-        trials: how many steps of the gel it took.
-    """
+    """The pose where a force along the indenter's +z is reached, and how many steps it took."""
 
     pose: Pose
     force_n: float

@@ -70,11 +70,8 @@ class ForceFollower:
         return self._depth_m
 
     def next_m(self, asked_n: float) -> float:
-        """Return the depth for the next frame.
-
-        Args:
-            asked_n: normal force that the gel is to give, 0 or more.
-        """
+        """Return the depth for the next frame, in which the gel is to give a normal force, 0 or
+        more."""
         inside_m = max(self._depth_m, 0.0)
         if asked_n <= TOLERANCE_N:
             wanted_m = -CLEAR_M
@@ -96,12 +93,7 @@ class ForceFollower:
         return press.depth_m * float((asked_n / press.force_n) ** (1.0 / self._power))
 
     def answer(self, depth_m: float, force_n: float) -> None:
-        """Take what the gel gave.
-
-        Args:
-            depth_m: where the indenter got.
-            force_n: normal force of the gel on it.
-        """
+        """Take the normal force that the gel gave at the depth that the indenter got to."""
         before = self._last_pressed
         self._depth_m, self._force_n = depth_m, force_n
         if depth_m <= 0.0 or force_n <= 0.0:

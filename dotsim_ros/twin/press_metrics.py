@@ -160,15 +160,9 @@ def score_press(
     seed: int = 0,
     from_depth_m: float = JUDGED_DEPTH_M,
 ) -> list[PressFrameScore]:
-    """Return the scores of the judged frames of a press.
+    """Return the scores of the frames of a press whose tip is at least `from_depth_m` deep.
 
-    Args:
-        press: what was measured.
-        prediction: of a model.
-        indenter: that pressed.
-        skin: the measured skin at rest.
-        seed: of the samples of the surfaces.
-        from_depth_m: depth of the tip from which frames are judged.
+    The surfaces are sampled by the seed; `skin` is the measured one at rest.
 
     Raises:
         ValueError: no skin was measured, or a prediction of another shape or not finite.

@@ -97,14 +97,8 @@ def _face_height_m(body: Body, skin: SkinMesh) -> float:
 
 
 def raised_m(body: Body, skin: SkinMesh, thickness_m: float) -> FloatArray:
-    """Return how far (3,) the base of a gel lies above 0, with its face where the skin's is; zeros
-    for a body that is not a pad.
-
-    Args:
-        body: as the sensor's file has it.
-        skin: as the data have it.
-        thickness_m: of the gel, which may be another than the body's.
-    """
+    """Return how far (3,) the base of a gel, of a thickness that may be another than the body's,
+    lies above 0, with its face where the data's skin has it; zeros for a body that is not a pad."""
     if not isinstance(body, Pad):
         return np.zeros(3)
     return np.array([0.0, 0.0, _face_height_m(body, skin) - thickness_m])
@@ -203,9 +197,7 @@ class GelSimulator:
 
         Args:
             values: the gel's parameters.
-            indenter: what presses.
-            poses: F poses of the indenter.
-            stamp_s: (F,) their times.
+            indenter, poses, stamp_s: what presses, F times.
             offset: (6,) error of all poses, as `offset_pose`.
             relaxation: of the gel; None for the sensor's own.
 

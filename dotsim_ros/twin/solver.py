@@ -145,12 +145,7 @@ class PressSolver:
 
     def prepare(self, requests: Sequence[SolveRequest], progress: Progress | None = None) -> None:
         """Make the tables that the requests need, each once, side by side: half a minute each where
-        they are not on disk.
-
-        Args:
-            requests: that will be run.
-            progress: called with the number of tables done, and of all.
-        """
+        they are not on disk. `progress` is called with the number of tables done, and of all."""
         if not self._is_refined:
             return
         ratios = {request.values.poisson_ratio for request in requests}
@@ -276,13 +271,6 @@ def _load(path: Path, shape: tuple[int, int]) -> SimulatedPress | str | None:
 def open_press_solver(
     specification: SensorSpecification, skin: SkinMesh, directory: Path, *, workers: Crew = 2
 ) -> Iterator[PressSolver]:
-    """Open a pool of workers that each hold the sensor's gel.
-
-    Args:
-        specification: the sensor.
-        skin: the skin's markers.
-        directory: where solves are kept.
-        workers: how many processes, or workers of Ray.
-    """
+    """Open a pool of workers that each hold the sensor's gel; solves are kept in the folder."""
     with open_pool(workers, begin, specification, skin) as pool:
         yield PressSolver(pool, directory, specification, skin)

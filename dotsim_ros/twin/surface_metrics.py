@@ -138,13 +138,8 @@ def _surface_distance(
 def surface_distance(
     points_m: FloatArray, position_m: FloatArray, triangles: IndexArray
 ) -> FloatArray:
-    """Return the distance (N,) of points (N, 3) to the nearest point of a triangle surface.
-
-    Args:
-        points_m: the points.
-        position_m: (V, 3) vertices of the surface; exact to some nanometres (float32).
-        triangles: (T, 3) vertex numbers.
-    """
+    """Return the distance (N,) of points to the nearest point of a triangle surface, exact to some
+    nanometres."""
     mesh = wp.Mesh(
         points=wp.array(
             (position_m * _MILLIMETRES_PER_METRE).astype(np.float32), dtype=wp.vec3, device="cpu"

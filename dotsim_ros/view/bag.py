@@ -30,13 +30,10 @@ class ViewRequest:
     """What to make of a bag.
 
     Attributes:
-        bag: its folder.
-        out: folder of the files.
         topics: those the user named.
         formats: of the video: any of "mp4" and "gif".
         fps: frames a second; None: those of the bag.
         speed: seconds of the bag in a second of the video.
-        column_count: of the contact sheet.
         rest: .npz with `rest_position_m`, or None.
     """
 
@@ -67,13 +64,10 @@ def _check_length(stamps_ns: NDArray[np.int64], fps: float, speed: float) -> Non
 
 
 def view_bag(request: ViewRequest, warn: Callable[[str], None]) -> list[Path]:
-    """Write the files that are asked for and return their paths.
+    """Write the files that are asked for and return their paths; `warn` takes what is not shown and
+    why.
 
     A bag that was not finished, or is cut short, is shown up to where it ends.
-
-    Args:
-        request: what to make.
-        warn: takes what is not shown and why, a sentence each.
 
     Raises:
         FileNotFoundError: no such bag.

@@ -193,14 +193,7 @@ def _check_sides(image: ImageArray) -> None:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What every picture of a bag is drawn from.
-
-    Attributes:
-        images: draws the panels.
-        forces: plotted below, or None.
-        start_ns, end_ns: of the time axis.
-        title: printed above.
-    """
+    """What every picture of a bag is drawn from: its panels, forces, time axis and title."""
 
     images: PanelImages
     forces: Forces | None

@@ -37,16 +37,9 @@ ROW_HEIGHT_PX, TITLE_HEIGHT_PX, GAP_PX = 200, 22, 12
 
 
 def pressed_images(name: str) -> tuple[ImageArray, ImageArray]:
-    """Return a sensor's images (H, W, 3), untouched and pressed; the motion of its printed markers
-    is drawn into the pressed one as arrows of `ARROW_LENGTHENING` times their length.
-
-    Args:
-        name: of the sensor, or its file.
-
-    Raises:
-        FileNotFoundError: no such sensor, or it names an image that is not there.
-        ValueError: its file is not valid.
-    """
+    """Return a sensor's images (H, W, 3), by its name or file, untouched and pressed; the motion of
+    its printed markers is drawn into the pressed one as arrows of `ARROW_LENGTHENING` times their
+    length."""
     sensor = TactileSensor.load(name, indenter=INDENTER)
     depth_m = min(DEPTH_SHARE * sensor.specification.gel.thickness_m, LARGEST_DEPTH_M)
     poses = [ApexPose(d) for d in np.linspace(0.0, depth_m, int(np.ceil(depth_m / STEP_M)) + 1)]
@@ -76,13 +69,7 @@ def with_arrows(image: ImageArray, motion: MarkerMotion) -> ImageArray:
 
 def write_pictures(names: Sequence[str], directory: Path) -> Iterator[Path]:
     """Write NAME_idle.png and NAME_pressed.png of each sensor, then all of them next to each other
-    as sensors.jpg, and yield the paths.
-
-    Raises:
-        FileNotFoundError: as `pressed_images`.
-        ValueError: as `pressed_images`.
-        OSError: a picture could not be written.
-    """
+    as sensors.jpg, and yield the paths."""
     directory.mkdir(parents=True, exist_ok=True)
     rows = []
     for name in names:
@@ -144,10 +131,6 @@ def warm_sensor(sensor: SensorSpecification, poses: Sequence[ApexPose]) -> Tacti
 def frames_per_second(sensor: SensorSpecification, frame_count: int) -> float:
     """Return the rate of a sensor's frames with its own solver, gel and image one after the other,
     while a ball of 4 mm radius presses, slides and lifts, again and again.
-
-    Args:
-        sensor: whose frames.
-        frame_count: how many to take the time of, 1 or more.
 
     Raises:
         ValueError: no frame.

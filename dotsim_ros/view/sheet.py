@@ -52,13 +52,7 @@ def strongest_stamps(
 
 
 def write_sheet(path: str | Path, moments: Iterable[BagMoment], drawing: Drawing) -> None:
-    """Write a contact sheet as PNG, whole or not at all.
-
-    Args:
-        path: the file; replaced where it is there.
-        moments: one column each.
-        drawing: of the bag.
-    """
+    """Write a contact sheet with a column a moment as PNG, whole or not at all."""
     columns, images = list(moments), drawing.images
     heights = [COLUMN_INCHES * height / width for height, width in images.shape_px.values()]
     size = (COLUMN_INCHES * len(columns) + 1.5, sum(heights) + PLOT_INCHES + 1.3)

@@ -28,14 +28,7 @@ IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 @dataclass(frozen=True)
 class ViewTopics:
-    """Topics of a bag to look at; None where it has none such.
-
-    Attributes:
-        image: Image or CompressedImage.
-        depth: Image of encoding 32FC1.
-        points: PointCloud2 of the skin.
-        wrench: WrenchStamped.
-    """
+    """Topics of a bag to look at, depth as Image of encoding 32FC1; None where it has none."""
 
     image: str | None = None
     depth: str | None = None
@@ -53,11 +46,8 @@ SUFFIXES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 
 def find_topics(there: dict[str, str], *, given: ViewTopics | None = None) -> ViewTopics:
-    """Return which topics to look at, of those that a bag holds.
-
-    Args:
-        there: message type of each topic of the bag.
-        given: what the user named; the rest is found by how names end.
+    """Return which topics to look at, of those that a bag holds: those the user named, and the rest
+    by how names end.
 
     Raises:
         ValueError: a given topic is not in the bag or has another type, or nothing is found.
@@ -90,14 +80,7 @@ def find_topics(there: dict[str, str], *, given: ViewTopics | None = None) -> Vi
 
 @dataclass(frozen=True)
 class BagMoment:
-    """The newest of everything at one time.
-
-    Attributes:
-        stamp_ns: the time.
-        image: (H, W, 3) uint8 RGB, or None before the first.
-        depth_m: (H, W) float32, NaN where invalid, or None.
-        cloud: the skin, or None.
-    """
+    """The newest of everything at one time; None before the first. Depth is NaN where not valid."""
 
     stamp_ns: int
     image: NDArray[np.uint8] | None = None
@@ -107,12 +90,7 @@ class BagMoment:
 
 @dataclass(frozen=True)
 class Forces:
-    """Force over time.
-
-    Attributes:
-        stamp_ns: (N,).
-        force_n: (N, 3).
-    """
+    """Forces (N, 3) over time (N,)."""
 
     stamp_ns: NDArray[np.int64]
     force_n: FloatArray

@@ -167,13 +167,8 @@ class Board:
 
 
 def paced(moments: Iterable[BagMoment], *, fps: float, speed: float) -> Iterator[BagMoment]:
-    """Yield the moment that is current at each frame of a video.
-
-    Args:
-        moments: in order of time.
-        fps: frames a second of the video.
-        speed: seconds of the bag in a second of the video.
-    """
+    """Yield the moment that is current at each frame of a video, `speed` seconds of the bag in one
+    of it."""
     step_ns = speed * 1e9 / fps
     next_ns: float | None = None
     last: BagMoment | None = None
@@ -204,17 +199,7 @@ def usual_rate_hz(stamps_ns: NDArray[np.int64]) -> float:
 def write_video(
     path: str | Path, moments: Iterable[BagMoment], board: Board, *, fps: float, speed: float = 1.0
 ) -> int:
-    """Write an MP4 (H.264), whole or not at all.
-
-    Args:
-        path: the file; replaced where it is there.
-        moments: in order of time.
-        board: draws the frames.
-        fps: frames a second.
-        speed: seconds of the bag in a second of the video.
-
-    Returns:
-        The number of frames.
+    """Write an MP4 (H.264), whole or not at all, and return its number of frames.
 
     Raises:
         OSError: ffmpeg could not; the message ends with what it said last.

@@ -47,12 +47,7 @@ def _trajectories(
 def import_densetact(source: Path, out: Path) -> DataSet:
     """Write the presses as a data set, in the base frame of the real gel of 16.1 mm radius.
 
-    Args:
-        source: folder that holds presses.npz.
-        out: folder of the data set, which must not exist.
-
     Raises:
-        FileExistsError: there is something at `out`.
-        FileNotFoundError, ValueError: as `read_presses`.
+        FileExistsError, FileNotFoundError, ValueError: as `read_presses` and `write_data_set`.
     """
     return write_data_set(out, _trajectories(read_presses(Path(source) / PRESSES)))

@@ -74,10 +74,7 @@ class CompressionTest:
 
 
 def read_compression_tests(directory: str | Path) -> tuple[CompressionTest, ...]:
-    """Read all tests, by name.
-
-    Args:
-        directory: that holds compression.npz.
+    """Read the tests of a folder that holds compression.npz.
 
     Raises:
         FileNotFoundError: there is none.
@@ -145,13 +142,9 @@ def _trajectories(tests: tuple[CompressionTest, ...]) -> Iterator[tuple[Trajecto
 def import_ecoflex_compression(source: Path, out: Path) -> DataSet:
     """Write the tests as a data set; the base frame lies in the middle of the lower plate.
 
-    Args:
-        source: folder as published.
-        out: folder of the data set, which must not exist.
-
     Raises:
-        FileExistsError: there is something at `out`.
-        FileNotFoundError, ValueError: as `read_compression_tests`.
+        FileExistsError, FileNotFoundError, ValueError: as `read_compression_tests` and
+            `write_data_set`.
     """
     tests = read_compression_tests(source)
     return write_data_set(out, _trajectories(tests), indenter_step_m=PLATE_STEP_M)

@@ -40,12 +40,7 @@ SILENT_SHARE = 0.002
 
 @dataclass(frozen=True)
 class ForceDepth:
-    """A force against the depth of what presses, N points.
-
-    Attributes:
-        depth_m: (N,) of the indenter into the gel at rest.
-        force_n: (N,) that pushes the indenter out.
-    """
+    """A force (N,) that pushes the indenter out, against its depth (N,) in the gel at rest."""
 
     depth_m: FloatArray
     force_n: FloatArray
@@ -54,14 +49,8 @@ class ForceDepth:
 def upright_press(
     stamp_ns: IntArray, height_m: FloatArray, force_n: FloatArray, name: str
 ) -> Trajectory:
-    """Return a press along the base frame's z axis, by an indenter that is not turned.
-
-    Args:
-        stamp_ns: (N,) of its frames.
-        height_m: (N,) of the indenter's frame over the base.
-        force_n: (N,) along z.
-        name: of the trajectory.
-    """
+    """Return a press along the base frame's z axis, by an indenter that is not turned, from the
+    height of its frame over the base and the force along z."""
     count = len(stamp_ns)
     position, force, turn = (np.zeros((count, width)) for width in (3, 3, 4))
     position[:, 2], force[:, 2], turn[:, 3] = height_m, force_n, 1.0
@@ -118,14 +107,10 @@ def _column(table: Table, quantity: str, units: dict[str, float]) -> tuple[str, 
 
 
 def check_stiffness(place: str, modulus_pa: float) -> None:
-    """Refuse a force and a depth that together are no gel's.
-
-    Args:
-        place: where they stand, for the message.
-        modulus_pa: Young's modulus that they give, to a factor of some.
+    """Refuse a force and a depth, by the Young's modulus that they give to a factor of some.
 
     Raises:
-        ValueError: it is not between 1 kPa and 10 MPa.
+        ValueError: no gel has it.
     """
     if not SOFTEST_PA <= modulus_pa <= STIFFEST_PA:
         raise ValueError(
@@ -153,11 +138,6 @@ def check_in_step(place: str, time_s: FloatArray, curve: ForceDepth) -> None:
 
     A gel's force peaks with the depth, or before it where it relaxes, never after it; and it is
     there as soon as the gel is touched, which must be at a depth of 0.
-
-    Args:
-        place: where it stands, for the message.
-        time_s: (N,) increasing.
-        curve: at those times.
 
     Raises:
         ValueError: it does.

@@ -38,10 +38,7 @@ STEP_S = 1.0
 
 
 def read_gelsight_mini_force(directory: str | Path) -> ForceDepth:
-    """Read the press.
-
-    Args:
-        directory: that holds force_depth.csv.
+    """Read the press of a folder that holds force_depth.csv.
 
     Raises:
         FileNotFoundError: there is none.
@@ -68,13 +65,8 @@ def ball() -> Indenter:
 
 
 def trajectory_of(depth_m: FloatArray, force_n: FloatArray, name: str) -> Trajectory:
-    """Return a press on the middle of the pad, behind a frame without contact.
-
-    Args:
-        depth_m: (N,) of the ball's lowest point below the skin at rest.
-        force_n: (N,) along z.
-        name: of the trajectory.
-    """
+    """Return a press on the middle of the pad, by depths (N,) and forces (N,) along z, behind a
+    frame without contact."""
     heights = PAD_SIZE_M[2] - np.array([-CLEARANCE_M, *depth_m])
     count = len(heights)
     stamp_ns = np.round(1e9 * STEP_S * np.arange(1, count + 1)).astype(np.int64)
@@ -84,13 +76,9 @@ def trajectory_of(depth_m: FloatArray, force_n: FloatArray, name: str) -> Trajec
 def import_gelsight_mini_force(source: Path, out: Path) -> DataSet:
     """Write the press as a data set; the base frame lies in the middle of the pad's base.
 
-    Args:
-        source: folder as published.
-        out: folder of the data set, which must not exist.
-
     Raises:
-        FileExistsError: there is something at `out`.
-        FileNotFoundError, ValueError: as `read_gelsight_mini_force`.
+        FileExistsError, FileNotFoundError, ValueError: as `read_gelsight_mini_force` and
+            `write_data_set`.
     """
     press = read_gelsight_mini_force(source)
     made = trajectory_of(press.depth_m, press.force_n, "press_sphere_7_5mm_0")

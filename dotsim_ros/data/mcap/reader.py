@@ -74,15 +74,11 @@ class Tolerance(IntEnum):
 class McapFile:
     """An MCAP file of ROS 2, opened for reading until `close`.
 
-    Args:
-        path: the file.
-        tolerance: what the file may be; what is wrong with it is in `damage` then.
-
     Attributes:
-        schemas: definitions of message types, by number.
-        channels: topics, by number.
+        schemas, channels: definitions of message types, and topics, by number.
         counts: messages of each channel.
-        damage: what is wrong with the file, in words; more may come while messages are read.
+        damage: what is wrong with the file, within its tolerance; more may come while messages
+            are read.
 
     Raises:
         DamagedError: the file is damaged or was not finished.

@@ -98,14 +98,8 @@ def split(content: memoryview) -> Iterator[tuple[int, memoryview, int]]:
 def chunk_index(
     chunk: Chunk, start: int, length: int, offsets: dict[int, int], index_length: int = 0
 ) -> ChunkIndex:
-    """Return what the summary says of a chunk.
-
-    Args:
-        chunk: the chunk.
-        start, length: of its record, in bytes from the beginning of the file.
-        offsets: where the index of each channel's messages lies.
-        index_length: of all these indexes, in bytes.
-    """
+    """Return what the summary says of a chunk whose record lies at `start` of the file, and of the
+    indexes of its messages: their offsets by channel, and their length in bytes."""
     return ChunkIndex(
         chunk_length=length,
         chunk_start_offset=start,

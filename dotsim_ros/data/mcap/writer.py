@@ -48,14 +48,8 @@ class McapWriter:
 
     A chunk is written whole or not at all: the room for it, and for the index that ends the file,
     is reserved on the disk beforehand. A full disk refuses the chunk, and the file can still be
-    finished; until then it ends in zeros.
-
-    Args:
-        path: the file.
-
-    Attributes:
-        statistics: numbers and log times (ns; 0 without any) of the messages in the file; those of
-            the open chunk are not in it.
+    finished; until then it ends in zeros. `statistics` are those of the messages in the file; those
+    of the open chunk are not in it.
 
     Raises:
         FileExistsError: it is there already.
@@ -87,12 +81,8 @@ class McapWriter:
             self._chunk.write(self._definitions)
 
     def add_channel(self, channel: Channel, schema: Schema) -> int:
-        """Declare a topic; return its number.
-
-        Args:
-            channel: the topic; its number and that of its schema are replaced.
-            schema: definition of its messages; its number is replaced.
-        """
+        """Declare a topic and the definition of its messages, whose numbers are replaced; return
+        its number."""
         known = [each.id for each in self._schemas if each == replace(schema, id=each.id)]
         if not known:
             known = [len(self._schemas) + 1]
@@ -111,11 +101,6 @@ class McapWriter:
 
     def write(self, channel: int, log_time_ns: int, message: bytes | memoryview) -> None:
         """Add a message to the open chunk, and write the chunk when it is large enough.
-
-        Args:
-            channel: number of its topic.
-            log_time_ns: place in the order of a replay, 0 to 2^63 - 1.
-            message: serialised.
 
         Raises:
             ValueError: a log time out of range; nothing is added.
@@ -178,10 +163,7 @@ class McapWriter:
         os.fdatasync(self._file)
 
     def finish(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
-        """Write what is left, the metadata and the index, and close the file.
-
-        Args:
-            metadata: named groups of names and values.
+        """Write what is left, named groups of metadata and the index, and close the file.
 
         Raises:
             OSError: they do not fit on the disk; the file is closed without an index.
