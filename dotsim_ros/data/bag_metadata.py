@@ -91,8 +91,9 @@ def read_mcap_names(folder: Path) -> tuple[str, ...]:
             f"{path}: storage_identifier is {str(storage)[:40]!r}, expected 'mcap' or 'sqlite3'"
         )
     files = information.get("relative_file_paths")
-    is_list = isinstance(files, list) and all(isinstance(name, str) for name in files)
-    names = [Path(name).name for name in files] if is_list else []
+    names = []
+    if isinstance(files, list) and all(isinstance(name, str) for name in files):
+        names = [Path(name).name for name in files]
     if not names or any(name in ("", "..") or "\0" in name for name in names):
         raise ValueError(f"{path}: relative_file_paths names no file")
     mode = str(information.get("compression_mode") or "none").lower()

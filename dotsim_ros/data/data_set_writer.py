@@ -88,11 +88,7 @@ def trajectory_of_frames(
         )
     stamp_ns = np.array([round(1e9 * frame.time_s) for frame in frames], dtype=np.int64)
     made: dict[str, Any] = {
-        "pose": lambda: PoseChannel(
-            stamp_ns,
-            np.stack([pose.position_m for pose in pressed]),
-            np.stack([pose.quaternion_xyzw for pose in pressed]),
-        ),
+        "pose": lambda: PoseChannel.of(stamp_ns, pressed),
         "wrench": lambda: WrenchChannel(
             stamp_ns,
             np.stack([frame.wrench.force_n for frame in frames]),

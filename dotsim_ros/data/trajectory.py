@@ -49,12 +49,15 @@ class PoseChannel:
     quaternion_xyzw: FloatArray
     frame_id: str = BASE_FRAME
 
+    @classmethod
+    def of(cls, stamp_ns: IntArray, poses: Sequence[Pose]) -> PoseChannel:
+        """Return the channel of poses in the base frame."""
+        position_m = np.stack([pose.position_m for pose in poses])
+        return cls(stamp_ns, position_m, np.stack([pose.quaternion_xyzw for pose in poses]))
+
     def poses(self) -> list[Pose]:
         """Return the N poses."""
-        return [
-            Pose(position, quaternion)
-            for position, quaternion in zip(self.position_m, self.quaternion_xyzw, strict=True)
-        ]
+        return [Pose(*each) for each in zip(self.position_m, self.quaternion_xyzw, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ import numpy as np
 
 from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.data.presses import Press
-from dotsim_ros.data.reading import read_press_images
-from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics, read_trajectory
+from dotsim_ros.data.reading import read_bag, read_press_images
+from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter
@@ -140,17 +140,13 @@ class FilmedData:
     base_m: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
-def _ignore(_line: str) -> None:
-    pass
-
-
 def read_filmed_data(
     directory: str | Path,
     sensor: SensorSpecification,
     *,
     presses: Sequence[str] | None = None,
     cache: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda _line: None,
     topics: Topics = MEASURED_TOPICS,
     check: UntouchedCheck = check_untouched,
 ) -> FilmedData:
@@ -173,9 +169,9 @@ def read_filmed_data(
             not be solved; the message says where.
     """
     data_set = read_data_set(directory)
-    say = progress or _ignore
-    idle = _read_idle(data_set)
-    entries = _entries(data_set, presses)
+    paths = data_set.idle_images()
+    idle = mean_idle_image(read_idle_images(paths), paths)
+    entries = data_set.named(presses) if presses is not None else _filmed(data_set)
     base_m = base_in_data_m(sensor, data_set)
     footage = []
     for entry in entries:
@@ -198,7 +194,7 @@ def read_filmed_data(
             for frame in _untouched_frames(press, indenters[press.indenter], skin)
         ],
     )
-    skin_of_press = SkinFollower(sensor, skin, cache or cache_directory() / "skins", say)
+    skin_of_press = SkinFollower(sensor, skin, cache or cache_directory() / "skins", progress)
     filmed = tuple(
         FilmedPress(
             press.name,
@@ -224,18 +220,16 @@ def with_measured_skin(
     """
     data_set = read_data_set(directory)
     skin, base_m = data_set.skin_mesh(), filmed.base_m
-    bags = {entry.name: entry.bag for entry in data_set.entries}
     presses = []
-    for press in filmed.presses:
-        trajectory = read_trajectory(bags[press.name], topics=topics, channels=("image", "skin"))
-        measured, image = trajectory.skin, trajectory.image
-        if measured is None or image is None:
-            raise ValueError(f"{bags[press.name]} holds no skin on {topics.skin}")
-        same = len(press.measured) == len(measured.stamp_ns) == len(image.stamp_ns)
-        if not same or not np.array_equal(measured.stamp_ns, image.stamp_ns):
-            raise ValueError(
-                f"{bags[press.name]}: the skin was measured at other times than the images"
-            )
+    names = [press.name for press in filmed.presses]
+    for press, entry in zip(filmed.presses, data_set.named(names), strict=True):
+        measured = read_bag(
+            entry, topics=topics, channels=("pose", "skin"), vertex_count=skin.vertex_count
+        ).trajectory.skin
+        if measured is None:
+            raise ValueError(f"{entry.bag} holds no skin on {topics.skin}")
+        if not np.array_equal(1e-9 * measured.stamp_ns.astype(np.float64), press.stamp_s):
+            raise ValueError(f"{entry.bag}: the skin was measured at other times than the images")
         position_m = (measured.position_m - base_m).astype(np.float32)
         presses.append(replace(press, skin_position_m=position_m))
     skin = replace(skin, rest_position_m=skin.rest_position_m - base_m)
@@ -325,21 +319,14 @@ def render_filmed(
     return OpticalData(camera, rest, tuple(seen))
 
 
-def _read_idle(data_set: DataSet) -> ImageArray:
-    paths = data_set.idle_images()
-    return mean_idle_image(read_idle_images(paths), paths)
-
-
-def _entries(data_set: DataSet, presses: Sequence[str] | None) -> list[DataSetEntry]:
-    if presses is None:
-        entries = [entry for entry in data_set.entries if entry.has_images]
-        if not entries:
-            raise ValueError(
-                f"{data_set.directory} says that none of its trajectories holds images; record "
-                "them with images, or set 'images: true' in its index"
-            )
-        return entries
-    return list(data_set.named(presses))
+def _filmed(data_set: DataSet) -> tuple[DataSetEntry, ...]:
+    entries = tuple(entry for entry in data_set.entries if entry.has_images)
+    if not entries:
+        raise ValueError(
+            f"{data_set.directory} says that none of its trajectories holds images; record them "
+            "with images, or set 'images: true' in its index"
+        )
+    return entries
 
 
 def _untouched_frames(press: Press, indenter: Indenter, skin: SkinMesh) -> list[int]:

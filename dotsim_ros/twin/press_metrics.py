@@ -235,7 +235,6 @@ def summarize(scores: Sequence[PressFrameScore]) -> Summary:
         for field in fields(CloudDistances)
     }
     contact = [score.contact_m for score in scores if np.isfinite(score.contact_m)]
-    forces = _force_errors(scores)
     return Summary(
         chamfer_mm=1e3 * means["chamfer_m"],
         significant_chamfer_mm=1e3 * means["significant_chamfer_m"],
@@ -244,35 +243,29 @@ def summarize(scores: Sequence[PressFrameScore]) -> Summary:
         skin_rms_mm=1e3 * root_mean_square([score.skin_m for score in scores]),
         contact_rms_mm=1e3 * root_mean_square(contact) if contact else None,
         vertex_rms_mm=1e3 * root_mean_square([score.vertex_m for score in scores]),
-        normal_force_error=forces.normal,
-        tangential_force_error=forces.tangential,
-        shear_force_error=forces.shear,
+        **_force_errors(scores),
         frames=len(scores),
         presses=len({score.press for score in scores}),
     )
 
 
-@dataclass(frozen=True)
-class _ForceErrors:
-    normal: float | None
-    tangential: float | None
-    shear: float | None
-
-
-def _force_errors(scores: Sequence[PressFrameScore]) -> _ForceErrors:
+def _force_errors(scores: Sequence[PressFrameScore]) -> dict[str, float | None]:
+    names = ("normal_force_error", "tangential_force_error", "shear_force_error")
     pairs = [
         (score.predicted_n, score.measured_n, score.normal)
         for score in scores
         if score.predicted_n is not None and score.measured_n is not None
     ]
     if not pairs:
-        return _ForceErrors(None, None, None)
+        return dict.fromkeys(names)
     predicted, measured, normal = (np.stack(column) for column in zip(*pairs, strict=True))
-    return _ForceErrors(
-        relative_rms(predicted[:, 2] - measured[:, 2], measured[:, 2]),
-        relative_rms(predicted[:, :2] - measured[:, :2], measured[:, :2]),
-        relative_rms(along_surface(predicted - measured, normal), measured),
+    error = predicted - measured
+    errors = (
+        relative_rms(error[:, 2], measured[:, 2]),
+        relative_rms(error[:, :2], measured[:, :2]),
+        relative_rms(along_surface(error, normal), measured),
     )
+    return dict(zip(names, errors, strict=True))
 
 
 def by_indenter(scores: Iterable[PressFrameScore]) -> dict[str, list[PressFrameScore]]:

@@ -6,8 +6,8 @@ can be resumed, and nothing is solved twice."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, as_completed, wait
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -143,7 +143,7 @@ class PressSolver:
         self._tables: set[int] = set()
         self.solve_count = 0
 
-    def prepare(self, requests: Sequence[SolveRequest], progress: Progress | None = None) -> None:
+    def prepare(self, requests: Iterable[SolveRequest], progress: Progress | None = None) -> None:
         """Make the tables that the requests need, each once, side by side: half a minute each where
         they are not on disk. `progress` is called with the number of tables done, and of all."""
         if not self._is_refined:
@@ -151,51 +151,48 @@ class PressSolver:
         ratios = {request.values.poisson_ratio for request in requests}
         numbers = {number for ratio in ratios for number, _ in tables_of(ratio)} - self._tables
         tasks = [self._pool.submit(prepare_table, number) for number in sorted(numbers)]
-        for count, future in enumerate(as_completed(tasks)):
+        for count, future in enumerate(as_completed(tasks), 1):
             future.result()
             if progress is not None:
-                progress(count + 1, len(tasks))
+                progress(count, len(tasks))
         self._tables |= numbers
 
     def work_of(self, requests: Sequence[SolveRequest]) -> int:
         """Return how much of the requests is to be solved, as `Progress` counts it."""
-        return sum(task.work for task in _tasks(self._missing(requests, self._keys(requests))))
+        return sum(task.work for task in _tasks(self._missing(requests)[1]))
 
     def run_each(
         self, requests: Sequence[SolveRequest], progress: Progress | None = None
     ) -> list[SimulatedPress | str]:
         """Return skin and force of each request, or why it could not be solved."""
-        keys = self._keys(requests)
-        missing = self._missing(requests, keys)
-        self.prepare(list(missing.values()))
+        keys, missing = self._missing(requests)
+        self.prepare(missing.values())
         tasks = _tasks(missing)
-        total = sum(task.work for task in tasks)
+        work, total = 0, sum(task.work for task in tasks)
         if progress is not None:
-            progress(0, total)
+            progress(work, total)
         waiting = {
             self._pool.submit(solve_each, tuple(task.requests.values())): task for task in tasks
         }
-        work = 0
-        while waiting:
-            done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in done:
-                task = waiting.pop(future)
-                for key, found in zip(task.requests, future.result(), strict=True):
-                    self._known[key] = found
-                    _store(self._path(key), found)
-                    self.solve_count += 1
-                work += task.work
-                if progress is not None:
-                    progress(work, total)
+        for future in as_completed(waiting):
+            task = waiting.pop(future)
+            for key, found in zip(task.requests, future.result(), strict=True):
+                self._known[key] = found
+                _store(self._path(key), found)
+                self.solve_count += 1
+            work += task.work
+            if progress is not None:
+                progress(work, total)
         return [
             _with_modulus(self._known[key], request.values.youngs_modulus_pa)
             for key, request in zip(keys, requests, strict=True)
         ]
 
     def _missing(
-        self, requests: Sequence[SolveRequest], keys: Sequence[str]
-    ) -> dict[str, SolveRequest]:
-        """Return by key the requests that are neither known nor on disk, each once."""
+        self, requests: Sequence[SolveRequest]
+    ) -> tuple[list[str], dict[str, SolveRequest]]:
+        """Return the keys of requests, and those requests that are neither known nor on disk."""
+        keys = [self._key(request) for request in requests]
         missing: dict[str, SolveRequest] = {}
         for key, request in zip(keys, requests, strict=True):
             if key in self._known or key in missing:
@@ -205,10 +202,7 @@ class PressSolver:
                 missing[key] = request
             else:
                 self._known[key] = stored
-        return missing
-
-    def _keys(self, requests: Sequence[SolveRequest]) -> list[str]:
-        return [self._key(request) for request in requests]
+        return keys, missing
 
     def _key(self, request: SolveRequest) -> str:
         values = replace(request.values, youngs_modulus_pa=REFERENCE_MODULUS_PA)

@@ -36,12 +36,8 @@ def _trajectories(
             outer_radius_m=FIRST_CONTACT_RADIUS_M - BALL_RADIUS_M, indenter_radius_m=BALL_RADIUS_M
         )
         stamp_ns = np.round(1e9 * STEP_S * np.arange(1, len(poses) + 1)).astype(np.int64)
-        channel = PoseChannel(
-            stamp_ns,
-            np.stack([pose.position_m for pose in poses]),
-            np.stack([pose.quaternion_xyzw for pose in poses]),
-        )
-        yield Trajectory(pose=channel, name=f"{press.gel}_{press.index}"), tip
+        pose = PoseChannel.of(stamp_ns, poses)
+        yield Trajectory(pose=pose, name=f"{press.gel}_{press.index}"), tip
 
 
 def import_densetact(source: Path, out: Path) -> DataSet:
