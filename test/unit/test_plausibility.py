@@ -6,21 +6,25 @@ pass, for the fit and the gap finder to see."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
 
+from dotsim_ros.data.bag import BagFile, BagReader
 from dotsim_ros.data.data_set import DataSet, read_data_set
 from dotsim_ros.data.data_set_writer import write_data_set
 from dotsim_ros.data.measurement import read_measurement
 from dotsim_ros.data.plausibility import check_same_shape
 from dotsim_ros.data.reading import (
     BadBagError,
+    read_bag,
     read_observation,
     read_observations,
     read_press_images,
@@ -29,6 +33,7 @@ from dotsim_ros.data.trajectory import (
     ImageChannel,
     PoseChannel,
     SkinChannel,
+    Topics,
     Trajectory,
     WrenchChannel,
 )
@@ -149,6 +154,28 @@ REFUSED: dict[str, tuple[Callable[[Trajectory], Trajectory], str]] = {
         skins(lambda x: np.repeat(SKIN.rest_position_m[None], len(x), axis=0)),
         r"/tactile/skin: no point moves more than 0\.00 mm while the tip goes 2\.4 mm deep",
     ),
+    "a skin in millimetres": (
+        skins(lambda x: 1e3 * x),
+        r"/tactile/skin, message 0: .*multiply by 0\.001",
+    ),
+    "a skin without two of its points": (
+        skins(lambda x: x[:, 2:]),
+        r"/tactile/skin, message 0: .*record the vertices",
+    ),
+    "no poses": (
+        lambda good: replace(good, pose=None),
+        r"no message on /indenter/pose.*record the indenter's poses",
+    ),
+    "poses alone": (
+        lambda good: replace(good, wrench=None, skin=None),
+        r"neither /tactile/skin nor /indenter/wrench.*record one",
+    ),
+    "a force in one frame alone": (
+        lambda good: replace(
+            good, wrench=WrenchChannel(STAMP_NS[:1], np.ones((1, 3)), np.zeros((1, 3)))
+        ),
+        r"1 stamps of the wrench differ from the 9 of the pose.*record one pose with each",
+    ),
     "forces stamped 3 s later": (
         later("wrench", 3.0),
         r"every stamp of the wrench is 3 s after that of its pose.*two clocks",
@@ -176,7 +203,11 @@ def read(data_set: DataSet, *, has_vertices: bool = True) -> None:
 def refused(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     presses = [replace(change(press()), name=f"press {k}") for k, (change, _) in enumerate(CASES)]
     folder = tmp_path_factory.mktemp("refused") / "data"
-    return write_data_set(folder, [(one, BALL) for one in presses], skin=SKIN)
+    # Of the writer's skin no press may lack a point.
+    data_set = write_data_set(folder, [(one, BALL) for one in presses])
+    skin = {name: getattr(SKIN, name) for name in ("rest_position_m", "triangles", "on_base")}
+    np.savez(folder / "skin_mesh.npz", **skin)
+    return data_set
 
 
 @pytest.mark.fault("bags and data sets", "a press that no gel gives")
@@ -189,6 +220,52 @@ def test_what_no_press_gives_is_refused(
         read_observation(refused, entry, skin=SKIN, has_vertices=True)
     assert "\n" not in str(error.value)
     answered(error.value, what=what)
+
+
+def not_a_number(message: Any) -> None:
+    message.wrench.force.z = np.nan
+
+
+def out_of_order(message: Any) -> None:
+    message.header.stamp.sec = 1
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "reason"),
+    [
+        ("/indenter/wrench", not_a_number, "message 3: .*not finite.*drop"),
+        ("/indenter/pose", out_of_order, "message 3: stamp .* does not come after .*one clock"),
+    ],
+)
+def test_a_message_that_no_writer_takes_is_refused(
+    tmp_path: Path, topic: str, change: Callable[[Any], None], reason: str
+) -> None:
+    data_set = written(tmp_path, press())
+    (entry,) = data_set.entries
+    bad = replace(entry, bag=tmp_path / "press")
+    with BagReader(entry.bag) as good, BagFile(bad.bag) as file:
+        for number, item in enumerate(good.messages(topic, "/indenter/pose")):
+            message = item.message()
+            if number == 3 * len({topic, "/indenter/pose"}) + (topic != "/indenter/pose"):
+                change(message)
+            file.write(item.topic, item.log_time_ns, message)
+    with pytest.raises(BadBagError, match=f"^press, {topic}, {reason}"):
+        read_observation(data_set, bad, skin=SKIN, has_vertices=True)
+
+
+def test_what_can_be_read_is_read_and_the_rest_is_named(tmp_path: Path) -> None:
+    data_set = written(tmp_path, press())
+    (entry,) = data_set.entries
+    wrong_topic = Topics(wrench="/tactile/skin")
+    with pytest.raises(BadBagError, match=r"holds sensor_msgs/msg/PointCloud2, expected geometry"):
+        read_bag(entry, topics=wrong_topic, channels=("pose", "wrench"))
+    lost = replace(entry, name="lost", indenter="spere")
+    both = replace(data_set, entries=(entry, lost))
+    found, (omitted,) = read_observations(both, ["press", "lost"], skin=SKIN, has_vertices=True)
+    assert [one.press.name for one in found] == ["press"]
+    assert found[0].press.frame_count == len(STAMP_NS)
+    assert omitted.name == "lost"
+    assert re.search(r"lost: no mesh .*spere.*holds sphere.*correct the name", omitted.reason)
 
 
 def test_the_gap_finder_reads_by_the_same_gates(refused: DataSet) -> None:
