@@ -64,7 +64,7 @@ def holds_skin_or_force(directory: str | Path, *, topics: Topics = MEASURED_TOPI
 
 
 def read_measurement(
-    directory: str | Path,
+    data: str | Path | DataSet,
     *,
     own_skin: SkinMesh,
     indenters: str | Path | None = None,
@@ -73,7 +73,7 @@ def read_measurement(
     """Read a data set.
 
     Args:
-        directory: the folder that holds dataset.yaml.
+        data: its folder, or what its index says.
         own_skin: of the sensor's file, used where the data set has no mesh of its own.
         indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
         topics: where the channels lie.
@@ -82,7 +82,7 @@ def read_measurement(
         FileNotFoundError: no data set there.
         ValueError: no trajectory of it can be used; the text lists why.
     """
-    data_set = read_data_set(directory)
+    data_set = read_data_set(data)
     folder = data_set.directory
     ignored = [
         f"{name} lies in the data set: it was not read"
@@ -118,7 +118,7 @@ def read_measurement(
 
 
 def read_poses(
-    directory: str | Path,
+    data: str | Path | DataSet,
     *,
     skin: SkinMesh,
     indenters: str | Path | None = None,
@@ -131,7 +131,7 @@ def read_poses(
     Raises:
         ValueError: no trajectory of it has poses.
     """
-    data_set = read_data_set(directory)
+    data_set = read_data_set(data)
 
     def read(entry: DataSetEntry) -> Recording:
         press = read_motion(entry, topics=topics)
@@ -145,7 +145,9 @@ def read_poses(
 
     recordings, warnings = _read_each(data_set, read, topics)
     if not recordings:
-        raise ValueError(f"{directory}: no trajectory has poses: {summarize_reasons(warnings)}")
+        raise ValueError(
+            f"{data_set.directory}: no trajectory has poses: {summarize_reasons(warnings)}"
+        )
     return recordings, warnings
 
 
