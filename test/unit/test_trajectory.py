@@ -26,11 +26,6 @@ from dotsim_ros.data.trajectory import (
     write_trajectory,
 )
 
-SENSOR_A = Path(__file__).parents[3] / "shared" / "measured" / "sensor_a"
-needs_sensor_a = pytest.mark.skipif(
-    not SENSOR_A.is_dir(), reason="needs the measured data set sensor_a next to the checkout"
-)
-
 
 @pytest.fixture
 def trajectory():
@@ -267,16 +262,3 @@ def test_index_that_names_no_bag_is_refused(tmp_path, trajectory):
         read_data_set(tmp_path)
     with pytest.raises(FileNotFoundError, match="is no data set"):
         read_data_set(tmp_path / "bags")
-
-
-@needs_sensor_a
-def test_measured_data_set_is_what_its_index_says():
-    data_set = read_data_set(SENSOR_A)
-    assert len(data_set.entries) == 28
-    vertex_count = data_set.skin_mesh().vertex_count
-    for entry in data_set.entries[::9]:
-        trajectory = entry.read()
-        assert len(trajectory.pose.stamp_ns) == entry.frame_count
-        assert trajectory.skin.position_m.shape == (entry.frame_count, vertex_count, 3)
-        assert trajectory.image.pixels.shape == (entry.frame_count, 240, 320, 3)
-        assert data_set.indenter_file(entry.indenter).is_file()

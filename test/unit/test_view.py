@@ -22,10 +22,33 @@ from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.view.sheet import strongest_stamps
 from dotsim_ros.view.skin_map import SkinMap
 from dotsim_ros.view.timeline import BagMoment, Forces, ViewTopics, find_topics, open_timeline
-from dotsim_ros.view.video import paced, write_gif
+from dotsim_ros.view.video import paced
 
 PERIOD_NS = 40_000_000
 COUNT = 8
+
+
+def view(bag, out, *options):
+    return main(["view", str(bag), "--out", str(out), *options])
+
+
+SHEET_ALONE = ("--format", "none")
+
+
+def bag_of(path, *messages):
+    with BagFile(path) as file:
+        for index, (topic, message) in enumerate(messages):
+            file.write(topic, 10**9 + index, message)
+    return path
+
+
+HEAD = {"stamp_ns": 10**9, "frame_id": "base", "types": BAG_TYPES}
+
+
+def pixels(height, width):
+    return msg_adapters.encode_image(
+        np.zeros((height, width, 3), np.uint8), encoding="rgb8", **HEAD
+    )
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +83,7 @@ def bag(tmp_path_factory):
 
 def test_view_writes_video_gif_and_sheet(bag, tmp_path, capsys):
     # At half the speed.
-    arguments = ["view", str(bag), "--out", str(tmp_path), "--format", "both", "--speed", "0.5"]
-    assert main(arguments) == 0
+    assert view(bag, tmp_path, "--format", "both", "--speed", "0.5") == 0
     printed = capsys.readouterr().out.split()
     made = sorted(os.path.basename(path) for path in printed)
     assert made == sorted(os.listdir(tmp_path)) == ["press.gif", "press.mp4", "press.png"]
@@ -90,7 +112,7 @@ def test_view_writes_video_gif_and_sheet(bag, tmp_path, capsys):
 def test_bad_input_is_told_and_leaves_nothing(bag, tmp_path, capsys, arguments, reason):
     out = tmp_path / "out"
     filled = [part.format(bag=bag, tmp=tmp_path) for part in arguments]
-    assert main(["view", *filled, "--out", str(out)]) == 1
+    assert view(filled[0], out, *filled[1:]) == 1
     assert reason in capsys.readouterr().err
     assert not out.exists() or not os.listdir(out)
 
@@ -118,72 +140,58 @@ def test_numbers_out_of_range_are_refused(bag, option, value, expected, capsys, 
 
 @pytest.mark.fault("view", "a video of more than 100,000 frames")
 def test_endless_video_is_refused_before_anything_is_drawn(tmp_path, capsys, answered):
+    message = pixels(48, 64)
     path = tmp_path / "long"
     with BagFile(path) as file:
         for stamp_s in (1, 1_700_000_000):
-            header = {"stamp_ns": stamp_s * 10**9, "frame_id": "base", "types": BAG_TYPES}
-            pixels = np.zeros((48, 64, 3), np.uint8)
-            file.write(
-                "/image_raw", 1, msg_adapters.encode_image(pixels, encoding="rgb8", **header)
-            )
-    assert main(["view", str(path), "--out", str(tmp_path / "out")]) == 1
+            message.header.stamp.sec = stamp_s
+            file.write("/image_raw", 1, message)
+    assert view(path, tmp_path / "out") == 1
     error = capsys.readouterr().err
     assert "would have 1.7e+10 frames" in error
     assert not (tmp_path / "out").exists()
     answered(error)
-    arguments = ["view", str(path), "--out", str(tmp_path / "out"), "--format", "none"]
-    assert main(arguments) == 0
+    assert view(path, tmp_path / "out", *SHEET_ALONE) == 0
 
 
 def test_dots_are_part_of_a_name(noisy_bag, tmp_path):
     shutil.copytree(noisy_bag, tmp_path / "press_0.5mm")
     # Its file alone has the name of the bag, too.
     for path in (tmp_path / "press_0.5mm", tmp_path / "press_0.5mm" / "press.mcap"):
-        arguments = ["view", str(path), "--out", str(tmp_path / "out")]
-        assert main([*arguments, "--format", "none", "--columns", "1"]) == 0
+        assert view(path, tmp_path / "out", *SHEET_ALONE, "--columns", "1") == 0
     assert sorted(os.listdir(tmp_path / "out")) == ["press.png", "press_0.5mm.png"]
 
 
 @pytest.fixture(scope="module")
 def noisy_bag(tmp_path_factory):
     """A bag whose video is larger than its contact sheet."""
-    path = tmp_path_factory.mktemp("bags") / "press"
-    with BagFile(path) as file:
-        for index in range(5):
-            stamp_ns = 10**9 + index * PERIOD_NS
-            pixels = np.random.default_rng(index).integers(0, 256, (60, 80, 3), dtype=np.uint8)
-            message = msg_adapters.encode_image(
-                pixels, encoding="rgb8", stamp_ns=stamp_ns, frame_id="camera", types=BAG_TYPES
-            )
-            file.write("/image_raw", stamp_ns, message)
-    return path
+    random, messages = np.random.default_rng(0), []
+    for index in range(5):
+        noise = random.integers(0, 256, (60, 80, 3), dtype=np.uint8)
+        head = HEAD | {"stamp_ns": 10**9 + index * PERIOD_NS}
+        messages.append(("/image_raw", msg_adapters.encode_image(noise, encoding="rgb8", **head)))
+    return bag_of(tmp_path_factory.mktemp("bags") / "press", *messages)
 
 
-def view_on_full_disk(arguments, length):
-    """Run `view` where no file may grow beyond a length, which shows only half-way."""
-
-    def limit():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (length, length))
-
+@pytest.mark.fault("view", "")
+def test_full_disk_leaves_the_files_before(noisy_bag, tmp_path, answered):
+    out, name = tmp_path / "out", "press.mp4"
+    assert view(noisy_bag, out, "--columns", "1") == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    # The sheet fits, the video does not.
+    length = len(before["press.png"]) + 2_000
+    assert len(before[name]) > length, {name: len(made) for name, made in before.items()}
     code = (
         "import sys, dotsim_ros.io.files; dotsim_ros.io.files.PROBE_BYTES = 1; "
         "from dotsim_ros.cli.main import main; sys.exit(main())"
     )
-    command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, preexec_fn=limit)
-
-
-@pytest.mark.parametrize("name", ["press.png", "press.mp4"])
-@pytest.mark.fault("view", "")
-def test_full_disk_leaves_the_files_before(noisy_bag, tmp_path, name, answered):
-    out = tmp_path / "out"
-    arguments = ["view", str(noisy_bag), "--out", str(out), "--columns", "1"]
-    assert main(arguments) == 0
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
-    # The sheet fits, the video does not.
-    sizes = {"press.png": 4_000, "press.mp4": len(before["press.png"]) + 2_000}
-    assert len(before[name]) > sizes[name], {name: len(made) for name, made in before.items()}
-    done = view_on_full_disk(arguments, sizes[name])
+    done = subprocess.run(
+        [sys.executable, "-c", code, "view", str(noisy_bag), "--out", str(out), "--columns", "1"],
+        capture_output=True,
+        text=True,
+        # No file may grow beyond a length, which shows only half-way.
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (length, length)),
+    )
     assert done.returncode == 1, done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert "File too large" in done.stderr or "ffmpeg: ended by SIGXFSZ" in done.stderr
@@ -203,7 +211,7 @@ def test_ffmpeg_says_why_it_failed(noisy_bag, tmp_path, monkeypatch, capsys):
         pytest.skip("no disk can be mounted here")
     try:
         (disk / "press.mp4").write_bytes(b"good video" * 1000)
-        assert main(["view", str(noisy_bag), "--out", str(disk), "--columns", "1"]) == 1
+        assert view(noisy_bag, disk, "--columns", "1") == 1
         error = capsys.readouterr().err
         assert (disk / "press.mp4").read_bytes() == b"good video" * 1000
     finally:
@@ -213,43 +221,18 @@ def test_ffmpeg_says_why_it_failed(noisy_bag, tmp_path, monkeypatch, capsys):
     assert len(error.splitlines()) == 1
 
 
-def test_failed_gif_leaves_the_one_before(tmp_path):
-    (tmp_path / "press.gif").write_text("before")
-    (tmp_path / "press.mp4").write_text("no video")
-    with pytest.raises(OSError, match=r"press.gif could not be written: ffmpeg: .*Invalid data"):
-        write_gif(tmp_path / "press.gif", tmp_path / "press.mp4", fps=5.0, width_px=64)
-    assert (tmp_path / "press.gif").read_text() == "before"
-
-
 @pytest.mark.fault("view", "a recording that was cut short")
 def test_recording_that_was_cut_short_is_shown_up_to_its_end(bag, tmp_path, capsys, answered):
     short = tmp_path / "short.partial"
     shutil.copytree(bag, short)
     (short / "metadata.yaml").unlink()
     os.truncate(short / "press.mcap", (short / "press.mcap").stat().st_size - 100)
-    arguments = ["view", str(short), "--out", str(tmp_path / "out"), "--format", "none"]
-    assert main(arguments) == 0
+    assert view(short, tmp_path / "out", *SHEET_ALONE) == 0
     said = capsys.readouterr()
     assert "was not finished or is cut off" in said.err
     assert "record --repair" in said.err
     assert os.listdir(tmp_path / "out") == ["short.partial.png"]
     answered(said.err)
-
-
-def bag_of(path, *messages):
-    with BagFile(path) as file:
-        for index, (topic, message) in enumerate(messages):
-            file.write(topic, 10**9 + index, message)
-    return path
-
-
-HEAD = {"stamp_ns": 10**9, "frame_id": "base", "types": BAG_TYPES}
-
-
-def pixels(height, width):
-    return msg_adapters.encode_image(
-        np.zeros((height, width, 3), np.uint8), encoding="rgb8", **HEAD
-    )
 
 
 def cloud(**fields):
@@ -300,7 +283,7 @@ MALFORMED = {
 def test_malformed_message_is_named(tmp_path, what, capsys, answered):
     messages, reason = MALFORMED[what]
     bag = bag_of(tmp_path / "press", *messages)
-    assert main(["view", str(bag), "--out", str(tmp_path / "out")]) == 1
+    assert view(bag, tmp_path / "out") == 1
     error = capsys.readouterr().err
     assert reason in error
     assert len(error.splitlines()) == 1
@@ -317,8 +300,7 @@ def test_messages_without_a_time_are_left_out_and_counted(bag, tmp_path, capsys,
             if number % 10 == 9:
                 serialized = serialized[:4] + struct.pack("<iI", -1, 0) + serialized[12:]
             file.write_serialized(item.topic, item.log_time_ns, serialized)
-    arguments = ["view", str(path), "--out", str(tmp_path / "out"), "--format", "none"]
-    assert main(arguments) == 0
+    assert view(path, tmp_path / "out", *SHEET_ALONE) == 0
     error = capsys.readouterr().err
     assert "3 messages are not shown: their stamp is no time" in error
     answered(error)
