@@ -45,6 +45,8 @@ TEST = [
     "pytest<9",
     # files of tests run in three processes
     "pytest-xdist>=3.5",
+    # structural similarity, in studies of images
+    "scikit-image>=0.20",
 ]
 LEARNING = [
     "onnx>=1.17",
@@ -158,7 +160,6 @@ setup(
         "backports.zstd>=1.0",
         "rosbags>=0.10.7",
         "safetensors>=0.4",
-        "scikit-image>=0.20",
         "scipy>=1.11",
         "threadpoolctl>=3.1",
         "trimesh>=4.0",

@@ -49,8 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.nodes.loop.observer import LoopObserver
     from dotsim_ros.nodes.simulated_time.participants import Participant
     from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings
-    from dotsim_ros.view.bag import ViewRequest, view_bag
-    from dotsim_ros.view.timeline import ViewTopics
+    from dotsim_ros.view.bag import view_bag
 
     stay_local()
     bag: Path = arguments.out / "presses"
@@ -82,17 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
         raise OSError("; ".join(failed))
-    request = ViewRequest(
-        bag=bag,
-        out=arguments.out,
-        topics=ViewTopics(),
-        formats=("mp4",),
-        fps=None,
-        speed=1.0,
-        column_count=6,
-        rest=None,
-    )
-    shown = view_bag(request, print)
+    shown = view_bag(bag, arguments.out, print)
     print(f"bag {bag_sha256(bag)}")
     for path in [bag, *shown]:
         print(path)

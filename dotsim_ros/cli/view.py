@@ -80,26 +80,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the files and print their paths."""
-    from dotsim_ros.view.bag import ViewRequest, view_bag
+    from dotsim_ros.view.bag import view_bag
     from dotsim_ros.view.timeline import ViewTopics
 
-    topics = ViewTopics(
-        image=arguments.image,
-        depth=arguments.depth,
-        points=arguments.points,
-        wrench=arguments.wrench,
-    )
-    request = ViewRequest(
-        bag=arguments.bag,
-        out=arguments.out,
-        topics=topics,
+    paths = view_bag(
+        arguments.bag,
+        arguments.out,
+        lambda words: print(f"dotsim_ros view: {words}", file=sys.stderr),
+        topics=ViewTopics(arguments.image, arguments.depth, arguments.points, arguments.wrench),
         formats=_FORMATS[arguments.format],
         fps=arguments.fps,
         speed=arguments.speed,
         column_count=arguments.columns,
         rest=arguments.rest,
     )
-    paths = view_bag(request, lambda words: print(f"dotsim_ros view: {words}", file=sys.stderr))
     for path in paths:
         print(path)
     return 0

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,34 +17,12 @@ from dotsim_ros.data.bag import bag_name
 from dotsim_ros.io.documents import ArrayForm, read_arrays
 from dotsim_ros.view.panels import Drawing, PanelImages
 from dotsim_ros.view.sheet import strongest_stamps, write_sheet
-from dotsim_ros.view.timeline import Timeline, ViewTopics, open_timeline
+from dotsim_ros.view.timeline import ViewTopics, open_timeline
 from dotsim_ros.view.video import GIF_WIDTH_PX, Board, usual_rate_hz, write_gif, write_video
 
 LARGEST_GIF_FPS = 12.5
 LARGEST_FRAME_COUNT = 100_000
 """An hour at 25 frames a second, which takes about as long to draw."""
-
-
-@dataclass(frozen=True)
-class ViewRequest:
-    """What to make of a bag.
-
-    Attributes:
-        topics: those the user named.
-        formats: of the video: any of "mp4" and "gif".
-        fps: frames a second; None: those of the bag.
-        speed: seconds of the bag in a second of the video.
-        rest: .npz with `rest_position_m`, or None.
-    """
-
-    bag: Path
-    out: Path
-    topics: ViewTopics
-    formats: tuple[str, ...]
-    fps: float | None
-    speed: float
-    column_count: int
-    rest: Path | None
 
 
 def _check_length(stamps_ns: NDArray[np.int64], fps: float, speed: float) -> None:
@@ -63,60 +41,80 @@ def _check_length(stamps_ns: NDArray[np.int64], fps: float, speed: float) -> Non
         )
 
 
-def view_bag(request: ViewRequest, warn: Callable[[str], None]) -> list[Path]:
-    """Write the files that are asked for and return their paths; `warn` takes what is not shown and
-    why.
+@contextmanager
+def _of_bag(path: Path) -> Iterator[None]:
+    """Put the name of the bag before what is wrong with it."""
+    try:
+        yield
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path}: {error}") from error
+
+
+def view_bag(
+    path: Path,
+    out: Path,
+    warn: Callable[[str], None],
+    *,
+    topics: ViewTopics | None = None,
+    formats: Collection[str] = ("mp4",),
+    fps: float | None = None,
+    speed: float = 1.0,
+    column_count: int = 6,
+    rest: Path | None = None,
+) -> list[Path]:
+    """Write the contact sheet and the videos of a bag, and return their paths.
 
     A bag that was not finished, or is cut short, is shown up to where it ends.
+
+    Args:
+        path: of the bag.
+        out: folder of the files.
+        warn: takes what is not shown and why, a sentence each.
+        topics: those the user named.
+        formats: of the video: any of "mp4" and "gif".
+        fps: frames a second; None: those of the bag.
+        speed: seconds of the bag in a second of the video.
+        column_count: of the contact sheet.
+        rest: .npz with `rest_position_m`, or None.
 
     Raises:
         FileNotFoundError: no such bag.
         ValueError: it cannot be read, is damaged, or shows nothing.
         OSError: a file could not be written; the one before it is left as it was.
     """
-    with open_timeline(request.bag, request.topics) as timeline:
+    with open_timeline(path, topics) as timeline, _of_bag(path):
         if timeline.bag.damage:
             warn(
                 f"{'; '.join(timeline.bag.damage)}; what comes before is shown (`dotsim_ros record "
-                f"--repair {request.bag}` makes a whole bag of it)"
+                f"--repair {path}` makes a whole bag of it)"
             )
         if timeline.refused_count:
             warn(f"{timeline.refused_count} messages are not shown: their stamp is no time")
-        try:
-            return _drawn(request, timeline)
-        except ValueError as error:
-            if str(request.bag) in str(error):
-                raise
-            raise ValueError(f"{request.bag}: {error}") from error
-
-
-def _drawn(request: ViewRequest, timeline: Timeline) -> list[Path]:
-    """Write the files and return their paths."""
-    stamp_ns, forces = timeline.stamp_ns, timeline.forces
-    fps = request.fps or usual_rate_hz(stamp_ns)
-    if request.formats:
-        _check_length(stamp_ns, fps, request.speed)
-    rest_m = None
-    if request.rest is not None:
-        form = {"rest_position_m": ArrayForm((None, 3))}
-        rest_m = read_arrays(request.rest, form)["rest_position_m"]
-    images = PanelImages(timeline.moments(), rest_m=rest_m)
-    title = bag_name(request.bag)
-    drawing = Drawing(images, forces, int(stamp_ns[0]), int(stamp_ns[-1]), title)
-    chosen = set(strongest_stamps(stamp_ns, forces, count=request.column_count))
-    sheet = request.out / f"{title}.png"
-    write_sheet(sheet, (each for each in timeline.moments() if each.stamp_ns in chosen), drawing)
-    written = [sheet]
-    if not request.formats:
+        stamp_ns, forces, title = timeline.stamp_ns, timeline.forces, bag_name(path)
+        fps = fps or usual_rate_hz(stamp_ns)
+        if formats:
+            _check_length(stamp_ns, fps, speed)
+        rest_m = None
+        if rest is not None:
+            form = {"rest_position_m": ArrayForm((None, 3))}
+            rest_m = read_arrays(rest, form)["rest_position_m"]
+        images = PanelImages(timeline.moments(), rest_m=rest_m)
+        drawing = Drawing(images, forces, int(stamp_ns[0]), int(stamp_ns[-1]), title)
+        chosen = set(strongest_stamps(stamp_ns, forces, count=column_count))
+        sheet = out / f"{title}.png"
+        write_sheet(sheet, (m for m in timeline.moments() if m.stamp_ns in chosen), drawing)
+        written = [sheet]
+        if not formats:
+            return written
+        with tempfile.TemporaryDirectory() as folder:
+            video = (out if "mp4" in formats else Path(folder)) / f"{title}.mp4"
+            write_video(video, timeline.moments(), Board(drawing), fps=fps, speed=speed)
+            if "mp4" in formats:
+                written.append(video)
+            if "gif" in formats:
+                gif = out / f"{title}.gif"
+                write_gif(gif, video, fps=min(fps, LARGEST_GIF_FPS), width_px=GIF_WIDTH_PX)
+                written.append(gif)
         return written
-    keeps_video = "mp4" in request.formats
-    with tempfile.TemporaryDirectory() as folder:
-        video = (request.out if keeps_video else Path(folder)) / f"{title}.mp4"
-        write_video(video, timeline.moments(), Board(drawing), fps=fps, speed=request.speed)
-        if keeps_video:
-            written.append(video)
-        if "gif" in request.formats:
-            gif = request.out / f"{title}.gif"
-            write_gif(gif, video, fps=min(fps, LARGEST_GIF_FPS), width_px=GIF_WIDTH_PX)
-            written.append(gif)
-    return written

@@ -74,7 +74,6 @@ NAMES_ELSEWHERE = {
     "imageio_ffmpeg": "imageio-ffmpeg",
     "ot": "POT",
     "pinocchio": "pin",
-    "skimage": "scikit-image",
     "warp": "warp-lang",
     "yaml": "PyYAML",
 }
@@ -86,7 +85,6 @@ ROS_KEYS = {
     "opencv-python-headless": "opencv",
     "backports.zstd": "backports-zstd",
     "pillow": "pil",
-    "scikit-image": "skimage",
 }
 """What rosdep calls a distribution that it does not call by its name."""
 
