@@ -74,7 +74,6 @@ def coulomb(
     force: wp.array2d(dtype=wp.vec3),
     stiffness: wp.array2d(dtype=wp.mat33),
     distance: wp.array2d(dtype=wp.float32),
-    local_position: wp.array2d(dtype=wp.vec3),
     slip: wp.array2d(dtype=wp.vec3),
 ):
     """Write the force on markers [b, m] by Coulomb's law and minus its derivative, and what the
@@ -86,7 +85,6 @@ def coulomb(
     c = law[b]
     depth = c.onset - d
     distance[b, m] = d
-    local_position[b, m] = y
     elastic_slip = wp.vec3()
     if depth <= 0.0:
         force[b, m] = wp.vec3()
@@ -135,46 +133,9 @@ def interpolate(
     """Write base + sum of weight times the vectors [b, node] at markers [b, m]."""
     b, m = wp.tid()
     x = base[b, m]
-    for a in range(node.shape[2]):
+    for a in range(27):
         x += weight[b, m, a] * nodal[b, node[b, m, a]]
     result[b, m] = x
-
-
-@wp.kernel
-def spread(
-    node: wp.array3d(dtype=wp.int32),
-    weight: wp.array3d(dtype=wp.float32),
-    force: wp.array2d(dtype=wp.vec3),
-    nodal: wp.array2d(dtype=wp.vec3),
-):
-    """Add the forces on markers [b, m] to the nodes."""
-    b, m = wp.tid()
-    f = force[b, m]
-    if wp.length_sq(f) == 0.0:
-        return
-    for a in range(node.shape[2]):
-        wp.atomic_add(nodal, b, node[b, m, a], weight[b, m, a] * f)
-
-
-@wp.kernel
-def add_contact_stiffness(
-    node: wp.array3d(dtype=wp.int32),
-    weight: wp.array3d(dtype=wp.float32),
-    stiffness: wp.array2d(dtype=wp.mat33),
-    moved: wp.array2d(dtype=wp.vec3),
-    nodal: wp.array2d(dtype=wp.vec3),
-):
-    """Add W' H W times nodal displacements [b, node] to nodal forces, without W' H W itself."""
-    b, m = wp.tid()
-    h = stiffness[b, m]
-    if wp.ddot(h, h) == 0.0:
-        return
-    x = wp.vec3()
-    for a in range(node.shape[2]):
-        x += weight[b, m, a] * moved[b, node[b, m, a]]
-    f = h * x
-    for a in range(node.shape[2]):
-        wp.atomic_add(nodal, b, node[b, m, a], weight[b, m, a] * f)
 
 
 @wp.kernel
@@ -184,9 +145,9 @@ def gather_refinement(
     indptr: wp.array(dtype=wp.int32),
     index: wp.array(dtype=wp.int32),
     block: wp.array(dtype=wp.mat33),
-    compliance: wp.array3d(dtype=wp.float32),
+    between: wp.array4d(dtype=wp.float32),
 ):
-    """Write the rows of the refinement's compliance between nodes [b, i] of the finer grid, whose
+    """Write what refinement adds to the compliance between nodes [b, i] of the finer grid, whose
     numbers the others lack (-1)."""
     b, i = wp.tid()
     n = node[b, i]
@@ -196,24 +157,22 @@ def gather_refinement(
             c = block[k]
             for row in range(3):
                 for column in range(3):
-                    compliance[b, 3 * i + row, 3 * j + column] = c[row, column]
+                    between[b, i, j, 3 * row + column] = c[row, column]
 
 
 @wp.kernel
 def refined_displacement(
-    node: wp.array2d(dtype=wp.int32),
     force: wp.array2d(dtype=wp.vec3),
     indptr: wp.array(dtype=wp.int32),
     index: wp.array(dtype=wp.int32),
     block: wp.array(dtype=wp.mat33),
     displacement: wp.array2d(dtype=wp.vec3),
 ):
-    """Add what refinement adds to all nodes [b, n] of the finer grid under forces on some."""
-    b, i = wp.tid()
-    f = force[b, i]
+    """Add what refinement adds to the nodes [b, n] of the finer grid under forces on them."""
+    b, n = wp.tid()
+    f = force[b, n]
     if wp.length_sq(f) == 0.0:
         return
-    n = node[b, i]
     # It is symmetric: the transpose of a row is a column.
     for k in range(indptr[n], indptr[n + 1]):
         wp.atomic_add(displacement, b, index[k], wp.transpose(block[k]) * f)
