@@ -51,10 +51,18 @@ class Markers:
     field: Any
     law: Any
 
-    def part(self, gels: slice) -> Markers:
-        """Return the markers of some of the gels."""
-        values = (getattr(self, name)[gels] for name in self.__dataclass_fields__)
-        return Markers(*values)
+    def part(self, gels: slice, count: int) -> Markers:
+        """Return the first markers of some of the gels."""
+        return Markers(
+            self.index[gels, :count],
+            self.area_m2[gels, :count].contiguous(),
+            self.start_position_m[gels, :count].contiguous(),
+            self.start_slip_m[gels, :count].contiguous(),
+            self.rotation[gels],
+            self.origin_m[gels],
+            self.field[gels],
+            self.law[gels],
+        )
 
     def gather(self, values: torch.Tensor) -> torch.Tensor:
         """Return values (B, V, 3) of all markers at these (B, K, 3)."""

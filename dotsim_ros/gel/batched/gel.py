@@ -63,7 +63,7 @@ FIRST_STEPS = 2
 """A substep's first contact problem takes so many times the Newton steps of the others."""
 ADVANCES = 12
 """Steps along a way until the first touch."""
-CHUNK = 16
+CHUNK = 8
 """So many gels solve their contact together on a CPU."""
 
 
@@ -164,6 +164,8 @@ class BatchedGel:
         factor = _each(modulus_factor, 1.0, count, "modulus_factor")
         self._factor = torch.as_tensor(factor, dtype=torch.float32, device=device)[:, None]
         self._friction = _each(friction, s.contact.friction_coefficient, count, "friction")
+        size = CHUNK if self._on_host else count
+        self._chunks = [slice(k, min(k + size, count)) for k in range(0, count, size)]
         self.set_indenters(indenters)
 
     def set_indenters(self, indenters: Indenter | Sequence[Indenter]) -> None:
@@ -311,9 +313,12 @@ class BatchedGel:
         unexpected_m = (move - share[:, None] * self._move_m).norm(dim=1)
         near_m = NEAR_M + torch.where(self._is_touching, unexpected_m, 0.0)
         for _ in range(TRIALS):
-            markers = self._markers(origin_m, rotation, share, near_m)
+            markers, counts = self._markers(origin_m, rotation, share, near_m)
             u, contact, left = self._equilibrium(
-                self._u_m + share * self._u_change_m, markers, self._guess(markers, share)
+                self._u_m + share * self._u_change_m,
+                markers,
+                counts,
+                self._guess(markers, share),
             )
             force = torch.where(touches[:, None, None], contact.force_n, 0.0)
             u = torch.where(touches, u, 0.0)
@@ -339,19 +344,20 @@ class BatchedGel:
         rotation: torch.Tensor,
         share: torch.Tensor,
         near_m: torch.Tensor,
-    ) -> Markers:
-        """Return the markers that are expected nearest to the indenters, as many for each gel: on a
-        CPU all that are nearer than (B,)."""
+    ) -> tuple[Markers, list[int]]:
+        """Return the markers that are expected nearest to the indenters, the nearest first, and how
+        many of them the gels of each chunk need: on a CPU all that are nearer than (B,)."""
         expected = self._skin_m + share[:, None, None] * self._skin_change_m
         distance, _ = self._distance(expected, origin_m, rotation)
-        count = self.effort.markers
+        counts = [min(self.effort.markers, distance.shape[1])] * len(self._chunks)
         if self._on_host:
-            most = int((distance < near_m[:, None]).sum(dim=1).max())
-            count = -(-max(most, 1) // ROUNDING) * ROUNDING
-        count = min(count, distance.shape[1])
+            near = (distance < near_m[:, None]).sum(dim=1)
+            most = [max(int(near[gels].max()), 1) for gels in self._chunks]
+            counts = [min(-(-m // ROUNDING) * ROUNDING, distance.shape[1]) for m in most]
+        count = max(counts)
         index = torch.topk(distance, count, dim=1, largest=False).indices
         three = index[:, :, None].expand(-1, -1, 3)
-        return Markers(
+        markers = Markers(
             index,
             self._area_m2[index],
             torch.gather(self._local_m, 1, three),
@@ -361,6 +367,7 @@ class BatchedGel:
             self._field,
             self._contact_law,
         )
+        return markers, counts
 
     def _guess(self, markers: Markers, share: torch.Tensor) -> torch.Tensor:
         """Return where the markers may come to lie (B, K, 3): they keep their motion in the
@@ -384,19 +391,29 @@ class BatchedGel:
         return torch.where(is_far[:, :, None], moved, guess)
 
     def _equilibrium(
-        self, u_m: torch.Tensor, markers: Markers, guess_m: torch.Tensor
+        self, u_m: torch.Tensor, markers: Markers, counts: Sequence[int], guess_m: torch.Tensor
     ) -> tuple[torch.Tensor, Contact, torch.Tensor]:
         """Return displacements (N, 3, B), the contact, and how far the last step moved any node
-        (B,)."""
+        (B,).
+
+        Args:
+            u_m: (N, 3, B) to begin with.
+            markers: that may touch.
+            counts: how many of them those of each chunk of gels are.
+            guess_m: (B, K, 3) where the markers may come to lie.
+        """
         effort = self.effort
-        compliance = self._skin.compliance(markers.index)
+        chunks = [
+            (gels, markers.part(gels, count), self._skin.compliance(markers.index[gels, :count]))
+            for gels, count in zip(self._chunks, counts, strict=True)
+        ]
         force = markers.gather(self._marker_force_n)
         self._mixing.begin()
         for outer in range(effort.outer):
             free = u_m - self._rest.apply(self._elastic(u_m))
             base = self._skin.markers_at(markers.index, free)
             steps = effort.newton * (FIRST_STEPS if outer == 0 else 1)
-            contact = self._solve_contact(markers, compliance, base, force, guess_m, steps)
+            contact = self._solve_contact(chunks, base, force, guess_m, steps)
             guess_m, force = contact.position_m, contact.force_n
             load = self._skin.load(markers.index, force)
             step = self._mixing.step(u_m, free + self._rest.apply(load) - u_m)
@@ -408,35 +425,35 @@ class BatchedGel:
 
     def _solve_contact(
         self,
-        markers: Markers,
-        compliance: torch.Tensor,
+        chunks: Sequence[tuple[slice, Markers, torch.Tensor]],
         base_m: torch.Tensor,
         force_n: torch.Tensor,
         guess_m: torch.Tensor,
         newton_steps: int,
     ) -> Contact:
-        """Return the contact of gels that are linear, a few gels at a time on a CPU."""
-        chunk = CHUNK if self._on_host else self.count
-        parts = []
-        for first in range(0, self.count, chunk):
-            gels = slice(first, min(first + chunk, self.count))
-            parts.append(
-                solve_contact(
-                    markers.part(gels),
-                    compliance[gels],
-                    base_m=base_m[gels],
-                    force_n=force_n[gels],
-                    guess_m=guess_m[gels],
-                    newton_steps=newton_steps,
-                    tolerance_m=0.5 * self.effort.tolerance_m,
-                )
-            )
-        return Contact(
-            *(
-                torch.cat([getattr(part, name) for part in parts])
-                for name in Contact.__dataclass_fields__
-            )
+        """Return the contact of gels that are linear, chunk by chunk: gels, markers, compliance."""
+        whole = Contact(
+            torch.zeros_like(base_m),
+            guess_m.clone(),
+            torch.full(base_m.shape[:2], torch.inf, device=self.device),
+            torch.zeros_like(base_m),
+            base_m.new_zeros(self.count),
         )
+        for gels, markers, compliance in chunks:
+            count = markers.index.shape[1]
+            part = solve_contact(
+                markers,
+                compliance,
+                base_m=base_m[gels, :count],
+                force_n=force_n[gels, :count],
+                guess_m=guess_m[gels, :count],
+                newton_steps=newton_steps,
+                tolerance_m=0.5 * self.effort.tolerance_m,
+            )
+            for name in ("force_n", "position_m", "distance_m", "slip_m"):
+                getattr(whole, name)[gels, :count] = getattr(part, name)
+            whole.step_m[gels] = part.step_m
+        return whole
 
     def _finish(
         self,
