@@ -113,6 +113,7 @@ APART = (
 )
 STUDIES: dict[str, Study] = {
     "accuracy": Study(30, "geometry.accuracy:accuracy"),
+    "batch": Study(5, "speed.batch:batch"),
     "calibration_sensor_a": Study(
         15,
         command=f"dotsim_ros calibrate {SENSOR_A} --workers 1 --run out/run_first --out "

@@ -86,6 +86,15 @@ def test_a_ball_rests_on_the_sensor_in_a_mujoco_world(tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "touch.png")).shape == (480 + TITLE_HEIGHT_PX, 3 * 640, 3)
 
 
+def test_a_descent_comes_closer_to_the_true_stiffness() -> None:
+    printed = run("calibrate_by_gradient.py", 4)
+    youngs_pa = [float(value) for value in re.findall(r"youngs_modulus_pa (\S+),", printed)]
+    off_mn = [float(value) for value in re.findall(r"off by (\S+) mN", printed)]
+    assert off_mn[-1] < 0.7 * off_mn[0]
+    assert youngs_pa[-1] == 2.2e5
+    assert abs(youngs_pa[-2] - youngs_pa[-1]) < abs(youngs_pa[0] - youngs_pa[-1])
+
+
 def test_an_arm_in_mujoco_holds_what_the_gel_pushes_back(tmp_path: Path) -> None:
     run("mujoco_peg.py", tmp_path)
     _, force, torque, held = np.split(

@@ -1,0 +1,249 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Frictional contact of gels that respond linearly: Newton's method, each step by GMRES.
+
+Under forces f on K markers, they lie at x = base + C f, and the indenter answers there with F(x).
+Newton's method solves f = F(x). Its linear system (I + H C) df = F - f, with H minus the derivative
+of F, needs no preconditioner but C, which stands in it (Saad, "Iterative methods for sparse linear
+systems", 2003, section 6.5, for GMRES). H leaves out that the indenter's surface is curved: with
+that, Newton's method diverges in deep presses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from dotsim_ros.gel.batched import kernels
+from dotsim_ros.io.warp_runtime import wp
+
+KRYLOV = 8
+"""Steps of GMRES at most."""
+FORCING = 0.03
+"""On a CPU it ends where its residual is below this share of the right hand side."""
+LARGEST_STEP_M = 0.3e-3
+"""No Newton step moves a marker farther."""
+SECANTS = 2
+"""Trial steps of a line search."""
+
+
+@dataclass(frozen=True)
+class Markers:
+    """The markers of each gel that may touch.
+
+    Attributes:
+        index: (B, K) their numbers.
+        area_m2: (B, K).
+        start_position_m, start_slip_m: (B, K, 3) in the indenter's frame.
+        rotation, origin_m: (B, 3, 3), (B, 3) pose of each indenter.
+        field, law: Warp arrays (B,) of the indenters and of the contact's law.
+    """
+
+    index: torch.Tensor
+    area_m2: torch.Tensor
+    start_position_m: torch.Tensor
+    start_slip_m: torch.Tensor
+    rotation: torch.Tensor
+    origin_m: torch.Tensor
+    field: Any
+    law: Any
+
+    def part(self, gels: slice, count: int) -> Markers:
+        """Return the first markers of some of the gels."""
+        return Markers(
+            self.index[gels, :count],
+            self.area_m2[gels, :count].contiguous(),
+            self.start_position_m[gels, :count].contiguous(),
+            self.start_slip_m[gels, :count].contiguous(),
+            self.rotation[gels],
+            self.origin_m[gels],
+            self.field[gels],
+            self.law[gels],
+        )
+
+    def gather(self, values: torch.Tensor) -> torch.Tensor:
+        """Return values (B, V, 3) of all markers at these (B, K, 3)."""
+        return torch.gather(values, 1, self.index[:, :, None].expand(-1, -1, 3))
+
+
+@dataclass
+class Contact:
+    """Forces f (B, K, 3) on the markers, their positions (B, K, 3), their distances (B, K) from the
+    indenter, elastic slip (B, K, 3) in its frame, and how far the last step moved them (B,)."""
+
+    force_n: torch.Tensor
+    position_m: torch.Tensor
+    distance_m: torch.Tensor
+    slip_m: torch.Tensor
+    step_m: torch.Tensor
+
+
+def vectors(tensor: torch.Tensor) -> Any:
+    """Return a tensor (..., 3) as a Warp array of vectors, without a copy."""
+    return wp.from_torch(tensor, dtype=wp.vec3)
+
+
+def matrices(tensor: torch.Tensor) -> Any:
+    """Return a tensor (..., 3, 3) as a Warp array of matrices, without a copy."""
+    return wp.from_torch(tensor, dtype=wp.mat33)
+
+
+def solve_contact(
+    markers: Markers,
+    compliance: torch.Tensor,
+    *,
+    base_m: torch.Tensor,
+    force_n: torch.Tensor,
+    guess_m: torch.Tensor,
+    newton_steps: int,
+    tolerance_m: float,
+) -> Contact:
+    """Return the contact of gels that are linear around it.
+
+    Args:
+        markers: that may touch.
+        compliance: (B, 3 K, 3 K) C, symmetric.
+        base_m: (B, K, 3) markers without contact forces.
+        force_n: (B, K, 3) to begin with.
+        guess_m: (B, K, 3) where the markers may come to lie. The contact is so stiff that where
+            forces take them says little of who touches.
+        newton_steps: at most.
+        tolerance_m: on a CPU it ends where no marker moves farther; 0 never.
+    """
+    problem = _Problem(markers, compliance, base_m)
+    force = force_n
+    moved = problem.moved_by(force)
+    problem.answer_at(guess_m)
+    # The indenter's linear answer around the guess, at the markers that the forces would cause.
+    problem.answer_n -= problem.stiffness_times(base_m + moved - guess_m)
+    for number in range(newton_steps):
+        left = problem.answer_n - force
+        change = problem.gmres(left)
+        step = problem.moved_by(change)
+        largest = step.abs().amax(dim=(1, 2))
+        share = (LARGEST_STEP_M / largest.clamp(min=1e-12)).clamp(max=1.0)[:, None, None]
+        problem.answer_at(base_m + moved + share * step)
+        if number > 0:
+            share = problem.line_search(moved, force, step, change, left, share)
+        moved, force = moved + share * step, force + share * change
+        if problem.may_stop and bool((largest * share[:, 0, 0] < tolerance_m).all()):
+            break
+    return Contact(force, base_m + moved, problem.distance_m, problem.slip_m, largest)
+
+
+class _Problem:
+    """The linear gels with the indenters' answers at the markers' present positions."""
+
+    def __init__(self, markers: Markers, compliance: torch.Tensor, base_m: torch.Tensor) -> None:
+        self._markers, self._compliance, self._base_m = markers, compliance, base_m
+        count, k, _ = base_m.shape
+        # To read a value costs a synchronisation elsewhere.
+        self.may_stop = base_m.device.type == "cpu"
+        self.position_m = torch.empty_like(base_m)
+        self.answer_n, self.slip_m = torch.empty_like(base_m), torch.empty_like(base_m)
+        self._stiffness = base_m.new_empty(count, k, 3, 3)
+        self.distance_m = base_m.new_empty(count, k)
+        self._launch = wp.launch(
+            kernels.coulomb,
+            dim=(count, k),
+            inputs=[
+                vectors(self.position_m),
+                wp.from_torch(markers.area_m2),
+                markers.field,
+                matrices(markers.rotation),
+                vectors(markers.origin_m),
+                markers.law,
+                vectors(markers.start_position_m),
+                vectors(markers.start_slip_m),
+            ],
+            outputs=[
+                vectors(self.answer_n),
+                matrices(self._stiffness),
+                wp.from_torch(self.distance_m),
+                vectors(self.slip_m),
+            ],
+            device=markers.field.device,
+            record_cmd=True,
+        )
+
+    def answer_at(self, position_m: torch.Tensor) -> None:
+        """Find what the indenters answer markers at (B, K, 3)."""
+        self.position_m.copy_(position_m)
+        self._launch.launch()
+
+    def moved_by(self, force_n: torch.Tensor) -> torch.Tensor:
+        """Return C f (B, K, 3)."""
+        # It is symmetric; on a CPU a row times a matrix takes a tenth of a matrix times a column.
+        row = force_n.reshape(len(force_n), 1, -1)
+        return torch.bmm(row, self._compliance).view(force_n.shape)
+
+    def stiffness_times(self, moved_m: torch.Tensor) -> torch.Tensor:
+        """Return H x (B, K, 3)."""
+        return torch.einsum("bkij,bkj->bki", self._stiffness, moved_m)
+
+    def line_search(
+        self,
+        moved: torch.Tensor,
+        force: torch.Tensor,
+        step: torch.Tensor,
+        change: torch.Tensor,
+        left: torch.Tensor,
+        share: torch.Tensor,
+    ) -> torch.Tensor:
+        """Return shares (B, 1, 1) of a Newton step after which it would not turn back, with the
+        indenter's answer there; that at the given shares is known."""
+        before = (step * left).sum((1, 2), keepdim=True)
+        for _ in range(SECANTS):
+            after = (step * (self.answer_n - force - share * change)).sum((1, 2), keepdim=True)
+            turns_back = (after < -0.5 * before.abs()) & (before > 0.0)
+            if self.may_stop and not bool(turns_back.any()):
+                break
+            secant = share * (before / (before - after)).clamp(0.1, 0.9)
+            share = torch.where(turns_back, secant, share)
+            self.answer_at(self._base_m + moved + share * step)
+        return share
+
+    def gmres(self, right: torch.Tensor) -> torch.Tensor:
+        """Return df (B, K, 3) of (I + H C) df = right, from zero."""
+        count, shape = len(right), right.shape
+        flat = right.reshape(count, -1)
+        size = flat.norm(dim=1).clamp(min=1e-30)
+        basis = flat.new_empty(count, KRYLOV + 1, flat.shape[1])
+        basis[:, 0] = flat / size[:, None]
+        hessenberg = flat.new_zeros(count, KRYLOV + 1, KRYLOV)
+        for k in range(KRYLOV):
+            vector = basis[:, k]
+            moved = self.moved_by(vector.view(shape))
+            image = vector + self.stiffness_times(moved).view(count, -1)
+            known = basis[:, : k + 1]
+            # Twice is enough for orthogonality to the last bits.
+            for _ in range(2):
+                share = torch.bmm(known, image[:, :, None])
+                image = image - torch.bmm(share.transpose(1, 2), known)[:, 0]
+                hessenberg[:, : k + 1, k] += share[:, :, 0]
+            length = image.norm(dim=1)
+            hessenberg[:, k + 1, k] = length
+            basis[:, k + 1] = image / length.clamp(min=1e-30)[:, None]
+            done = k + 1
+            if done == KRYLOV or (self.may_stop and done >= 3):
+                share, rest = _least_squares(hessenberg[:, : done + 1, :done], size)
+                if self.may_stop and bool((rest < FORCING * size).all()):
+                    break
+        return torch.bmm(share.transpose(1, 2), basis[:, :done]).view(shape)
+
+
+def _least_squares(
+    hessenberg: torch.Tensor, size: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return x (B, k, 1) with the least |size e_1 - hessenberg x|, and these norms (B,)."""
+    q, r = torch.linalg.qr(hessenberg, mode="complete")
+    turned = size[:, None, None] * q[:, :1].transpose(1, 2)
+    diagonal = r.diagonal(dim1=1, dim2=2)
+    tiny = 1e-7 * diagonal.abs().amax(dim=1, keepdim=True).clamp(min=1e-30)
+    filled = torch.where(diagonal.abs() < tiny, tiny, 0.0)
+    square = r[:, :-1] + torch.diag_embed(filled)
+    found = torch.linalg.solve_triangular(square, turned[:, :-1], upper=True)
+    return found, turned[:, -1, 0].abs()

@@ -1,0 +1,78 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Elastic forces of many gels: cell by cell, the shared weights by one product for all gels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from dotsim_ros.gel.batched import kernels
+from dotsim_ros.gel.discretization import Discretization
+from dotsim_ros.gel.elasticity import GHOST_PENALTY, group_by_cell, linear_stiffness
+from dotsim_ros.gel.material import ElasticLaw
+from dotsim_ros.io.warp_runtime import wp
+
+
+class ElasticForces:
+    """The elastic gel on its grid, for B gels.
+
+    Args:
+        discretization: the grid and its particles.
+        law: the material.
+        count: B.
+        device: torch's name of the device.
+    """
+
+    def __init__(
+        self, discretization: Discretization, law: ElasticLaw, count: int, device: str
+    ) -> None:
+        d = discretization
+        cells = group_by_cell(d)
+        volume = np.where(cells.particle >= 0, d.particle_volume_m3[cells.particle], 0.0)
+        self._cell_node = torch.as_tensor(cells.node.astype(np.int64), device=device).reshape(-1)
+        self._gradient = torch.as_tensor(cells.gradient, dtype=torch.float32, device=device)
+        self._divergence = self._gradient.transpose(1, 2).contiguous()
+        self._volume: Any = wp.array(volume.ravel(), dtype=wp.float32, device=device)
+        self._law: Any = wp.array(
+            np.tile(law.coefficients_pa(), (count, 1)), dtype=kernels.coefficients, device=device
+        )
+        self._linear = sparse_tensor(linear_stiffness(d, law, GHOST_PENALTY), device)
+
+    def __call__(self, displacement_m: torch.Tensor) -> torch.Tensor:
+        """Return the derivative of the elastic energy (N, 3, B) by displacements (N, 3, B)."""
+        n, _, b = displacement_m.shape
+        cells = len(self._gradient)
+        flat = displacement_m.reshape(n, 3 * b)
+        gradient = torch.bmm(self._gradient, flat[self._cell_node].view(cells, 27, 3 * b))
+        stress = torch.empty_like(gradient)
+        wp.launch(
+            kernels.first_piola_kirchhoff,
+            dim=(8 * cells, b),
+            inputs=[
+                wp.from_torch(gradient.view(-1, 3, b)),
+                self._volume,
+                self._law,
+                wp.from_torch(stress.view(-1, 3, b)),
+            ],
+            device=self._volume.device,
+        )
+        force = self._linear @ flat
+        force.index_add_(0, self._cell_node, torch.bmm(self._divergence, stress).view(-1, 3 * b))
+        return force.view(n, 3, b)
+
+
+def sparse_tensor(matrix: Any, device: str) -> torch.Tensor:
+    """Return a SciPy matrix as a sparse tensor of single precision."""
+    csr = matrix.tocsr()
+    return torch.sparse_csr_tensor(
+        torch.as_tensor(csr.indptr, dtype=torch.int64),
+        torch.as_tensor(csr.indices, dtype=torch.int64),
+        torch.as_tensor(csr.data, dtype=torch.float32),
+        csr.shape,
+        device=device,
+        check_invariants=True,
+    )

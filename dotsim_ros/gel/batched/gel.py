@@ -1,0 +1,557 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Many gels of one sensor at equilibrium with their indenters, in one state with a batch axis.
+
+Each substep is a fixed point of u = u + G (load(f) - r(u)): r are the elastic forces at
+displacements u, G is the inverse of the stiffness at rest, and f the contact forces on the gel that
+is linear around u (`contact`). Anderson's mixing makes it converge where the gel's stiffness is far
+from that at rest. Nothing is factored, and no gel needs a matrix of its own but the compliance
+between the markers around its contact.
+
+The shape does not depend on Young's modulus: a gel that is stiffer by a factor has its forces
+multiplied by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from dotsim_ros.gel.batched import kernels
+from dotsim_ros.gel.batched.contact import Contact, Markers, matrices, solve_contact, vectors
+from dotsim_ros.gel.batched.elastic import ElasticForces
+from dotsim_ros.gel.batched.mixing import Mixing
+from dotsim_ros.gel.batched.rest_compliance import RestCompliance
+from dotsim_ros.gel.batched.skin import ROUNDING, Skin, stencils_of
+from dotsim_ros.gel.discretization import discretize
+from dotsim_ros.gel.distance_field import indenter_field
+from dotsim_ros.gel.implicit.contact import ONSET_M, REFERENCE_SPACING_M, SMOOTHING_M
+from dotsim_ros.gel.implicit.refinement import refine
+from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
+from dotsim_ros.gel.make import body_of, law_of, skin_of
+from dotsim_ros.gel.material import small_strain_moduli_pa
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.warp_runtime import wp
+from dotsim_ros.specification import SensorSpecification
+
+LARGEST_MOVE_M = 0.6e-3
+"""The indenter moves no farther in a substep..."""
+TOUCH_SHARE = 0.05
+"""...and, until it has been in contact for a step, by no more than this share of the grid's
+spacing."""
+NEAR_M = 0.1e-3
+"""Markers that are expected nearer to the indenter than this, and than what of its motion was not
+expected, may touch in a substep."""
+MISSED_M = 20.0e-6
+"""On a CPU, a substep in which another marker goes deeper into the indenter is solved again..."""
+TRIALS = 3
+"""...so often at most."""
+LARGEST_STEP_M = 0.6e-3
+"""No step moves a node farther."""
+FAR_SLIDE_M = 0.1e-3
+"""A marker that slides farther follows the indenter's surface, not a straight line."""
+NEIGHBOURS = 4
+NEIGHBOUR_M = 0.1e-3
+"""Distance at which a neighbour's weight is half of that of one right here."""
+FIRST_STEPS = 2
+"""A substep's first contact problem takes so many times the Newton steps of the others."""
+ADVANCES = 12
+"""Steps along a way until the first touch."""
+CHUNK = 8
+"""So many gels solve their contact together on a CPU."""
+
+
+@dataclass(frozen=True)
+class BatchState:
+    """All gels after a step.
+
+    Attributes:
+        skin_position_m: (B, V, 3) base frame.
+        force_n, torque_nm: (B, 3) of each gel on its indenter; torque about the base's origin.
+        max_penetration_m: (B,) of a marker into the indenter.
+        left_m: (B,) how far the last step of the iteration moved any node.
+    """
+
+    skin_position_m: torch.Tensor
+    force_n: torch.Tensor
+    torque_nm: torch.Tensor
+    max_penetration_m: torch.Tensor
+    left_m: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What a substep may cost.
+
+    Attributes:
+        outer: steps of the fixed point at most.
+        newton: steps of each contact problem at most.
+        tolerance_m: on a CPU both end early where no gel moves farther; 0 for fixed counts.
+        markers: that may touch an indenter, on a GPU; on a CPU as many as do.
+    """
+
+    outer: int = 3
+    newton: int = 4
+    tolerance_m: float = 4.0e-6
+    markers: int = 256
+
+
+class BatchedGel:
+    """B gels of one sensor.
+
+    Args:
+        specification: of the sensor; its camera has no part in it.
+        indenters: one for all gels, or one for each.
+        count: B.
+        friction: (B,) coefficients; None for the sensor's.
+        modulus_factor: (B,) each gel's Young's modulus over the sensor's; None for 1.
+        effort: of a substep.
+        device: torch's name of the device.
+
+    Attributes:
+        rest_position_m: (V, 3) of the skin's markers.
+
+    Raises:
+        ValueError: an argument of another length than B, a gel with relaxation or inertia, or one
+            that has come off its core.
+    """
+
+    def __init__(
+        self,
+        specification: SensorSpecification,
+        indenters: Indenter | Sequence[Indenter],
+        count: int,
+        *,
+        friction: FloatArray | None = None,
+        modulus_factor: FloatArray | None = None,
+        effort: Effort | None = None,
+        device: str = "cpu",
+    ) -> None:
+        s = specification
+        if s.material.prony_shares or s.solver.dynamic or s.gel.bond_slip_share:
+            raise ValueError(
+                "material.prony_shares, solver.dynamic or gel.bond_slip_share is given; a batched "
+                "gel has no relaxation, no inertia and a sound bond: leave it out"
+            )
+        self.count, self.device, self.effort = count, device, effort or Effort()
+        law, body, mesh = law_of(s.material), body_of(s.gel), skin_of(s.gel)
+        d = discretize(body, mesh.rest_position_m, s.solver.grid_spacing_m)
+        self._spacing_m = d.spacing_m
+        self._elastic = ElasticForces(d, law, count, device)
+        compliance = kept_compliance(body, mesh.rest_position_m, d, law)
+        self._rest = RestCompliance(d, compliance, is_mirrored=True, device=device)
+        fine = None
+        if s.solver.refined:
+            table = refine(body, mesh.rest_position_m, d, lambda: compliance, law)
+            fine = stencils_of(table.skin_weight, device), table
+        self._rest_m = torch.as_tensor(mesh.rest_position_m, dtype=torch.float32, device=device)
+        weights = d.skin_interpolation.matrix(d.node_count)
+        self._skin = Skin(self._rest_m, stencils_of(weights, device), self._rest.matrix, fine)
+        self._area_m2 = torch.as_tensor(mesh.rest_area_m2, dtype=torch.float32, device=device)
+        self._on_base = torch.as_tensor(mesh.on_base, device=device)
+        self._node_count, self.rest_position_m = (
+            d.node_count,
+            mesh.rest_position_m.astype(np.float32),
+        )
+        self._youngs_pa, _ = small_strain_moduli_pa(law)
+        self._contact_specification = s.contact
+        factor = _each(modulus_factor, 1.0, count, "modulus_factor")
+        self._factor = torch.as_tensor(factor, dtype=torch.float32, device=device)[:, None]
+        self._friction = _each(friction, s.contact.friction_coefficient, count, "friction")
+        size = CHUNK if self._on_host else count
+        self._chunks = [slice(k, min(k + size, count)) for k in range(0, count, size)]
+        self.set_indenters(indenters)
+
+    def set_indenters(self, indenters: Indenter | Sequence[Indenter]) -> None:
+        """Replace the indenters, one for all gels or one for each, and return to rest."""
+        given = [indenters] if isinstance(indenters, Indenter) else list(indenters)
+        if len(given) not in (1, self.count):
+            raise ValueError(f"{len(given)} indenters for {self.count} gels, expected one or each")
+        # The same shape is on the device once.
+        known = {
+            id(one): indenter_field(one, scalar=wp.float32, device=self.device) for one in given
+        }
+        fields = [known[id(one)] for one in given] * (self.count // len(given))
+        # The device's copy points to the arrays of these.
+        self._known_fields = known
+        self._field: Any = wp.array(fields, dtype=kernels.IndenterField, device=self.device)
+        laws = []
+        for friction in self._friction.tolist():
+            law = kernels.ContactLaw()
+            law.stiffness = (
+                self._contact_specification.stiffness * self._youngs_pa / REFERENCE_SPACING_M
+            )
+            law.tangential_stiffness = self._contact_specification.tangential_ratio * law.stiffness
+            law.friction, law.onset, law.smoothing = friction, ONSET_M, SMOOTHING_M
+            laws.append(law)
+        self._contact_law: Any = wp.array(laws, dtype=kernels.ContactLaw, device=self.device)
+        self.reset()
+
+    def reset(self) -> None:
+        """Return every gel to rest, with its indenter away."""
+        b, n, v = self.count, self._node_count, len(self._rest_m)
+
+        def zeros(*shape: int) -> torch.Tensor:
+            return torch.zeros(*shape, device=self.device)
+
+        self._u_m, self._u_change_m = zeros(n, 3, b), zeros(n, 3, b)
+        self._marker_force_n, self._slip_m = zeros(b, v, 3), zeros(b, v, 3)
+        self._skin_m = self._rest_m.expand(b, v, 3).contiguous()
+        self._skin_change_m = zeros(b, v, 3)
+        self._local_m, self._local_change_m = zeros(b, v, 3), zeros(b, v, 3)
+        self._gap_m = torch.full((b, v), torch.inf, device=self.device)
+        self._origin_m, self._move_m = zeros(b, 3), zeros(b, 3)
+        self._rotation = torch.eye(3, device=self.device).expand(b, 3, 3)
+        self._is_touching = torch.zeros(b, dtype=torch.bool, device=self.device)
+        self._is_placed = False
+        self._mixing = Mixing()
+        self._force_n, self._torque_nm = zeros(b, 3), zeros(b, 3)
+        self._penetration_m, self._left_m = zeros(b), zeros(b)
+
+    def step(self, position_m: FloatArray, quaternion_xyzw: FloatArray) -> BatchState:
+        """Move each indenter to its pose on a straight way and find the gels.
+
+        Args:
+            position_m: (B, 3) base frame.
+            quaternion_xyzw: (B, 4).
+        """
+        target = torch.as_tensor(position_m, dtype=torch.float32, device=self.device)
+        quaternion = torch.as_tensor(quaternion_xyzw, dtype=torch.float32, device=self.device)
+        turn = rotation_of(quaternion)
+        if not self._is_placed:
+            reach_m = float((self._rest_m.amax(dim=0) - self._rest_m.amin(dim=0)).max())
+            self._origin_m, self._rotation = target + reach_m * turn[:, :, 2], turn
+            self._is_placed = True
+        start, start_turn = self._origin_m, self._rotation
+        way = (target - start).norm(dim=1)
+        # From the air, only the way after the first touch counts, in short moves.
+        touch = self._touch_share(start, target, turn)
+        short = TOUCH_SHARE * self._spacing_m
+        longest = torch.where(self._is_touching, LARGEST_MOVE_M, short)
+        moves = (way * (1.0 - touch) / longest).ceil().clamp(min=1.0)
+        for number in range(1, int(moves.max()) + 1):
+            share = (touch + (1.0 - touch) * number / moves).clamp(max=1.0)
+            between = nearest_rotation(start_turn + share[:, None, None] * (turn - start_turn))
+            is_last = number >= moves
+            self._substep(
+                torch.where(is_last[:, None], target, start + share[:, None] * (target - start)),
+                torch.where(is_last[:, None, None], turn, between),
+                number <= moves,
+            )
+        return BatchState(
+            self._skin_m,
+            self._factor * self._force_n,
+            self._factor * self._torque_nm,
+            self._penetration_m,
+            self._left_m,
+        )
+
+    def _touch_share(
+        self, start_m: torch.Tensor, end_m: torch.Tensor, rotation: torch.Tensor
+    ) -> torch.Tensor:
+        """Return the share (B,) of a straight way before which no indenter touches the gel at rest;
+        0 where one does already. Its distance is a way that touches nothing."""
+        share = torch.zeros(self.count, device=self.device)
+        if self._on_host and bool(self._is_touching.all()):
+            return share
+        rest = self._rest_m.expand(self.count, -1, 3).contiguous()
+        way = (end_m - start_m).norm(dim=1).clamp(min=1e-12)
+        for _ in range(ADVANCES):
+            gap, _ = self._distance(rest, start_m + share[:, None] * (end_m - start_m), rotation)
+            clear = (gap.amin(dim=1) - ONSET_M).clamp(min=0.0)
+            share = (share + clear / way).clamp(max=1.0)
+        return torch.where(self._is_touching, 0.0, share)
+
+    @property
+    def _on_host(self) -> bool:
+        """Whether to read a value costs no synchronisation."""
+        return self.device == "cpu"
+
+    def _distance(
+        self, position_m: torch.Tensor, origin_m: torch.Tensor, rotation: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the signed distances (B, n) of points (B, n, 3) from the indenters and their
+        gradients (B, n, 3); the skin on the base is infinitely far."""
+        distance = torch.empty(position_m.shape[:2], device=self.device)
+        normal = torch.empty_like(position_m)
+        wp.launch(
+            kernels.surface,
+            dim=tuple(distance.shape),
+            inputs=[
+                vectors(position_m),
+                self._field,
+                matrices(rotation.contiguous()),
+                vectors(origin_m.contiguous()),
+                wp.from_torch(distance),
+                vectors(normal),
+            ],
+            device=self.device,
+        )
+        if distance.shape[1] == len(self._on_base):
+            distance = torch.where(self._on_base, torch.inf, distance)
+        return distance, normal
+
+    def _substep(
+        self, origin_m: torch.Tensor, rotation: torch.Tensor, is_moving: torch.Tensor
+    ) -> None:
+        """Advance the gels that move to new poses (B, 3), (B, 3, 3) of their indenters."""
+        rest = self._rest_m.expand(self.count, -1, 3).contiguous()
+        at_rest, _ = self._distance(rest, origin_m, rotation)
+        touches = at_rest.amin(dim=1) < ONSET_M
+        begins = touches & ~self._is_touching
+        fresh = begins[:, None, None]
+        here = _to_local(self._skin_m, origin_m, rotation)
+        self._local_m = torch.where(fresh, here, self._local_m)
+        share = self._share_of_last_move(origin_m, begins)
+        move = origin_m - self._origin_m
+        unexpected_m = (move - share[:, None] * self._move_m).norm(dim=1)
+        near_m = NEAR_M + torch.where(self._is_touching, unexpected_m, 0.0)
+        for _ in range(TRIALS):
+            markers, counts = self._markers(origin_m, rotation, share, near_m)
+            u, contact, left = self._equilibrium(
+                self._u_m + share * self._u_change_m,
+                markers,
+                counts,
+                self._guess(markers, share),
+            )
+            force = torch.where(touches[:, None, None], contact.force_n, 0.0)
+            u = torch.where(touches, u, 0.0)
+            skin = self._skin.positions(u, markers.index, force)
+            gap, _ = self._distance(skin, origin_m, rotation)
+            others = gap.scatter(1, markers.index, torch.inf).amin(dim=1)
+            missed = touches & is_moving & (others < -MISSED_M)
+            if not self._on_host or not bool(missed.any()):
+                break
+            near_m = near_m + torch.where(missed, near_m - others, 0.0)
+        self._finish(u, skin, gap, force, markers, contact, left, touches, is_moving)
+
+    def _share_of_last_move(self, origin_m: torch.Tensor, begins: torch.Tensor) -> torch.Tensor:
+        """Return how much of the last substep's motion this one repeats (B,)."""
+        length = self._move_m.square().sum(dim=1)
+        along = ((origin_m - self._origin_m) * self._move_m).sum(dim=1)
+        share = (along / length.clamp(min=1e-18)).clamp(-1.0, 2.0)
+        return torch.where(begins | ~self._is_touching, 0.0, share)
+
+    def _markers(
+        self,
+        origin_m: torch.Tensor,
+        rotation: torch.Tensor,
+        share: torch.Tensor,
+        near_m: torch.Tensor,
+    ) -> tuple[Markers, list[int]]:
+        """Return the markers that are expected nearest to the indenters, the nearest first, and how
+        many of them the gels of each chunk need: on a CPU all that are nearer than (B,)."""
+        expected = self._skin_m + share[:, None, None] * self._skin_change_m
+        distance, _ = self._distance(expected, origin_m, rotation)
+        counts = [min(self.effort.markers, distance.shape[1])] * len(self._chunks)
+        if self._on_host:
+            near = (distance < near_m[:, None]).sum(dim=1)
+            most = [max(int(near[gels].max()), 1) for gels in self._chunks]
+            counts = [min(-(-m // ROUNDING) * ROUNDING, distance.shape[1]) for m in most]
+        count = max(counts)
+        index = torch.topk(distance, count, dim=1, largest=False).indices
+        three = index[:, :, None].expand(-1, -1, 3)
+        markers = Markers(
+            index,
+            self._area_m2[index],
+            torch.gather(self._local_m, 1, three),
+            torch.gather(self._slip_m, 1, three),
+            rotation.contiguous(),
+            origin_m.contiguous(),
+            self._field,
+            self._contact_law,
+        )
+        return markers, counts
+
+    def _guess(self, markers: Markers, share: torch.Tensor) -> torch.Tensor:
+        """Return where the markers may come to lie (B, K, 3): they keep their motion in the
+        indenter's frame."""
+        slide = share[:, None, None] * markers.gather(self._local_change_m)
+        local = markers.start_position_m + slide
+        guess = _to_base(local, markers.origin_m, markers.rotation)
+        is_far = slide.norm(dim=2) > FAR_SLIDE_M
+        if self._on_host and not bool(is_far.any()):
+            return guess
+        # It is as deep as those were that it meets there.
+        before = torch.gather(self._gap_m, 1, markers.index)
+        apart = torch.cdist(local, markers.start_position_m).square()
+        apart = torch.where(before[:, None, :].isinf(), 1.0, apart)
+        near, number = torch.topk(apart, min(NEIGHBOURS, apart.shape[2]), dim=2, largest=False)
+        weight = 1.0 / (near + NEIGHBOUR_M**2)
+        depth = torch.gather(before[:, None, :].expand(-1, guess.shape[1], -1), 2, number)
+        known = (weight * depth.nan_to_num(posinf=0.0)).sum(dim=2) / weight.sum(dim=2)
+        now, normal = self._distance(guess, markers.origin_m, markers.rotation)
+        moved = guess + (known - now)[:, :, None] * torch.nn.functional.normalize(normal, dim=2)
+        return torch.where(is_far[:, :, None], moved, guess)
+
+    def _equilibrium(
+        self, u_m: torch.Tensor, markers: Markers, counts: Sequence[int], guess_m: torch.Tensor
+    ) -> tuple[torch.Tensor, Contact, torch.Tensor]:
+        """Return displacements (N, 3, B), the contact, and how far the last step moved any node
+        (B,).
+
+        Args:
+            u_m: (N, 3, B) to begin with.
+            markers: that may touch.
+            counts: how many of them those of each chunk of gels are.
+            guess_m: (B, K, 3) where the markers may come to lie.
+        """
+        effort = self.effort
+        chunks = [
+            (gels, markers.part(gels, count), self._skin.compliance(markers.index[gels, :count]))
+            for gels, count in zip(self._chunks, counts, strict=True)
+        ]
+        force = markers.gather(self._marker_force_n)
+        self._mixing.begin()
+        for outer in range(effort.outer):
+            free = u_m - self._rest.apply(self._elastic(u_m))
+            base = self._skin.markers_at(markers.index, free)
+            steps = effort.newton * (FIRST_STEPS if outer == 0 else 1)
+            contact = self._solve_contact(chunks, base, force, guess_m, steps)
+            guess_m, force = contact.position_m, contact.force_n
+            load = self._skin.load(markers.index, force)
+            step = self._mixing.step(u_m, free + self._rest.apply(load) - u_m)
+            largest = step.abs().amax(dim=(0, 1))
+            u_m = u_m + step * (LARGEST_STEP_M / largest.clamp(min=1e-12)).clamp(max=1.0)
+            if self._on_host and bool((largest < effort.tolerance_m).all()):
+                break
+        return u_m, contact, largest
+
+    def _solve_contact(
+        self,
+        chunks: Sequence[tuple[slice, Markers, torch.Tensor]],
+        base_m: torch.Tensor,
+        force_n: torch.Tensor,
+        guess_m: torch.Tensor,
+        newton_steps: int,
+    ) -> Contact:
+        """Return the contact of gels that are linear, chunk by chunk: gels, markers, compliance."""
+        whole = Contact(
+            torch.zeros_like(base_m),
+            guess_m.clone(),
+            torch.full(base_m.shape[:2], torch.inf, device=self.device),
+            torch.zeros_like(base_m),
+            base_m.new_zeros(self.count),
+        )
+        for gels, markers, compliance in chunks:
+            count = markers.index.shape[1]
+            part = solve_contact(
+                markers,
+                compliance,
+                base_m=base_m[gels, :count],
+                force_n=force_n[gels, :count],
+                guess_m=guess_m[gels, :count],
+                newton_steps=newton_steps,
+                tolerance_m=0.5 * self.effort.tolerance_m,
+            )
+            for name in ("force_n", "position_m", "distance_m", "slip_m"):
+                getattr(whole, name)[gels, :count] = getattr(part, name)
+            whole.step_m[gels] = part.step_m
+        return whole
+
+    def _finish(
+        self,
+        u: torch.Tensor,
+        skin: torch.Tensor,
+        gap: torch.Tensor,
+        force: torch.Tensor,
+        markers: Markers,
+        contact: Contact,
+        left_m: torch.Tensor,
+        touches: torch.Tensor,
+        is_moving: torch.Tensor,
+    ) -> None:
+        """Remember a substep of the gels that moved; those that nothing touches are at rest."""
+        three = markers.index[:, :, None].expand(-1, -1, 3)
+        zeros = torch.zeros_like(self._skin_m)
+        in_contact = touches[:, None, None]
+        local = _to_local(skin, markers.origin_m, markers.rotation)
+        torque = torch.linalg.cross(markers.gather(skin), force).sum(dim=1)
+        deepest = (-gap.amin(dim=1)).clamp(min=0.0)
+        # A gel that comes into contact or leaves it has no motion to go on with.
+        keeps = self._is_touching & touches
+
+        def change(now: torch.Tensor, before: torch.Tensor) -> torch.Tensor:
+            return torch.where(keeps[:, None, None], now - before, 0.0)
+
+        new = {
+            "_u_change_m": torch.where(keeps, u - self._u_m, 0.0),
+            "_skin_change_m": change(skin, self._skin_m),
+            "_local_change_m": change(local, self._local_m),
+            "_move_m": markers.origin_m - self._origin_m,
+            "_u_m": u,
+            "_skin_m": skin,
+            "_local_m": local,
+            "_marker_force_n": zeros.scatter(1, three, force),
+            "_slip_m": torch.where(in_contact, zeros.scatter(1, three, contact.slip_m), 0.0),
+            "_gap_m": gap,
+            "_origin_m": markers.origin_m,
+            "_rotation": markers.rotation,
+            "_force_n": -force.sum(dim=1),
+            "_torque_nm": -torque,
+            "_penetration_m": torch.where(touches, deepest, 0.0),
+            "_left_m": torch.where(touches, left_m, 0.0),
+            "_is_touching": touches,
+        }
+        if not self._on_host or not bool(is_moving.all()):
+            for name, value in new.items():
+                before = getattr(self, name)
+                # The grid's arrays have the gels last.
+                moves = is_moving if name.startswith("_u") else _leading(is_moving, before)
+                new[name] = torch.where(moves, value, before)
+        for name, value in new.items():
+            setattr(self, name, value)
+
+
+def _leading(mask: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
+    """Return a mask (B,) with as many axes as another tensor (B, ...)."""
+    return mask.view(-1, *(1,) * (like.dim() - 1))
+
+
+def _each(values: FloatArray | None, default: float, count: int, name: str) -> FloatArray:
+    """Return one value for each gel.
+
+    Raises:
+        ValueError: another number of them.
+    """
+    result = np.full(count, default) if values is None else np.asarray(values, dtype=float)
+    if result.shape != (count,):
+        raise ValueError(f"{name} has the shape {result.shape}, expected ({count},)")
+    return result
+
+
+def _to_base(local_m: torch.Tensor, origin_m: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+    """Return points (B, n, 3) of the indenters' frames in the base frame."""
+    return origin_m[:, None] + torch.bmm(local_m, rotation.transpose(1, 2))
+
+
+def _to_local(
+    position_m: torch.Tensor, origin_m: torch.Tensor, rotation: torch.Tensor
+) -> torch.Tensor:
+    """Return points (B, n, 3) of the base frame in the indenters' frames."""
+    return torch.bmm(position_m - origin_m[:, None], rotation)
+
+
+def rotation_of(quaternion_xyzw: torch.Tensor) -> torch.Tensor:
+    """Return the rotations (B, 3, 3) of quaternions (B, 4)."""
+    x, y, z, w = (quaternion_xyzw / quaternion_xyzw.norm(dim=1, keepdim=True)).unbind(dim=1)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+
+
+def nearest_rotation(matrix: torch.Tensor) -> torch.Tensor:
+    """Return the rotations (B, 3, 3) that are nearest to matrices, as those between two poses."""
+    u, _, v = torch.linalg.svd(matrix)
+    sign = torch.linalg.det(u @ v)
+    u = torch.cat([u[:, :, :2], sign[:, None, None] * u[:, :, 2:]], dim=2)
+    return u @ v

@@ -1,0 +1,178 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Warp kernels of many gels, in single precision; B is the number of gels."""
+
+# Warp reads kernels by its own rules, which are none of a type checker's.
+# mypy: disable-error-code="no-untyped-def, valid-type, arg-type, assignment, index, operator, misc"
+
+from dotsim_ros.gel.distance_field import distance_functions
+from dotsim_ros.gel.elastic_kernels import elastic_kernels
+from dotsim_ros.gel.implicit.contact_kernels import contact_kernels
+from dotsim_ros.io.warp_runtime import wp
+
+_distance = distance_functions(wp.float32)
+_elastic = elastic_kernels(wp.float32)
+_contact = contact_kernels(wp.float32)
+IndenterField = _distance.IndenterField
+ContactLaw = _contact.ContactLaw
+indenter_distance = _distance.indenter_distance
+coefficients = _elastic.vec5
+shape_stress = _elastic.shape_stress
+volume_stress = _elastic.volume_stress
+pressure = _contact.pressure
+pressure_slope = _contact.pressure_slope
+
+
+@wp.kernel
+def first_piola_kirchhoff(
+    gradient: wp.array3d(dtype=wp.float32),
+    volume: wp.array(dtype=wp.float32),
+    law: wp.array(dtype=coefficients),
+    stress: wp.array3d(dtype=wp.float32),
+):
+    """Write V P of each particle; gradient[3 p + j, i, b] is du_i/dX_j, stress likewise."""
+    p, b = wp.tid()
+    v = volume[p]
+    f = wp.identity(3, dtype=wp.float32)
+    for i in range(3):
+        for j in range(3):
+            f[i, j] = f[i, j] + gradient[3 * p + j, i, b]
+    result = v * (shape_stress(f, law[b]) + volume_stress(f, law[b]))
+    for i in range(3):
+        for j in range(3):
+            stress[3 * p + j, i, b] = result[i, j]
+
+
+@wp.kernel
+def surface(
+    position: wp.array2d(dtype=wp.vec3),
+    field: wp.array(dtype=IndenterField),
+    rotation: wp.array(dtype=wp.mat33),
+    origin: wp.array(dtype=wp.vec3),
+    distance: wp.array2d(dtype=wp.float32),
+    normal: wp.array2d(dtype=wp.vec3),
+):
+    """Write the signed distance of points [b, v] from the indenter of their gel, and its gradient,
+    base frame."""
+    b, v = wp.tid()
+    d, n, _h = indenter_distance(field[b], wp.transpose(rotation[b]) * (position[b, v] - origin[b]))
+    distance[b, v] = d
+    normal[b, v] = rotation[b] * n
+
+
+@wp.kernel
+def coulomb(
+    position: wp.array2d(dtype=wp.vec3),
+    area: wp.array2d(dtype=wp.float32),
+    field: wp.array(dtype=IndenterField),
+    rotation: wp.array(dtype=wp.mat33),
+    origin: wp.array(dtype=wp.vec3),
+    law: wp.array(dtype=ContactLaw),
+    start_position: wp.array2d(dtype=wp.vec3),
+    start_slip: wp.array2d(dtype=wp.vec3),
+    force: wp.array2d(dtype=wp.vec3),
+    stiffness: wp.array2d(dtype=wp.mat33),
+    distance: wp.array2d(dtype=wp.float32),
+    slip: wp.array2d(dtype=wp.vec3),
+):
+    """Write the force on markers [b, m] by Coulomb's law and minus its derivative, and what the
+    friction of the next step starts from, in the indenter's frame."""
+    b, m = wp.tid()
+    turn_back = rotation[b]
+    y = wp.transpose(turn_back) * (position[b, m] - origin[b])
+    d, n, _curvature = indenter_distance(field[b], y)
+    c = law[b]
+    depth = c.onset - d
+    distance[b, m] = d
+    elastic_slip = wp.vec3()
+    if depth <= 0.0:
+        force[b, m] = wp.vec3()
+        stiffness[b, m] = wp.mat33()
+        slip[b, m] = elastic_slip
+        return
+    p = pressure(c, depth)
+    slope = pressure_slope(c, depth)
+    f = p * n
+    h = slope * wp.outer(n, n)
+    if c.friction > 0.0:
+        k = c.tangential_stiffness
+        # The gradient of a mesh's distance, interpolated on a grid, is not of unit length.
+        unit = wp.normalize(n)
+        projector = wp.identity(3, dtype=wp.float32) - wp.outer(unit, unit)
+        moved = start_slip[b, m] + y - start_position[b, m]
+        s = projector * moved
+        by_position = projector
+        length = wp.length(s)
+        limit = c.friction * p / k
+        if length <= limit:
+            f -= k * s
+            h += k * by_position
+            elastic_slip = s
+        elif length > 1.0e-12:
+            direction = s / length
+            f -= (k * limit) * direction
+            turning = wp.identity(3, dtype=wp.float32) - wp.outer(direction, direction)
+            h += (k * limit / length) * (turning * by_position)
+            h -= (c.friction * slope) * wp.outer(direction, n)
+            elastic_slip = limit * direction
+    a = area[b, m]
+    slip[b, m] = elastic_slip
+    force[b, m] = a * (turn_back * f)
+    stiffness[b, m] = a * (turn_back * h * wp.transpose(turn_back))
+
+
+@wp.kernel
+def interpolate(
+    node: wp.array3d(dtype=wp.int32),
+    weight: wp.array3d(dtype=wp.float32),
+    nodal: wp.array2d(dtype=wp.vec3),
+    base: wp.array2d(dtype=wp.vec3),
+    result: wp.array2d(dtype=wp.vec3),
+):
+    """Write base + sum of weight times the vectors [b, node] at markers [b, m]."""
+    b, m = wp.tid()
+    x = base[b, m]
+    for a in range(27):
+        x += weight[b, m, a] * nodal[b, node[b, m, a]]
+    result[b, m] = x
+
+
+@wp.kernel
+def gather_refinement(
+    node: wp.array2d(dtype=wp.int32),
+    number: wp.array2d(dtype=wp.int32),
+    indptr: wp.array(dtype=wp.int32),
+    index: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33),
+    between: wp.array4d(dtype=wp.float32),
+):
+    """Write what refinement adds to the compliance between nodes [b, i] of the finer grid, whose
+    numbers the others lack (-1)."""
+    b, i = wp.tid()
+    n = node[b, i]
+    for k in range(indptr[n], indptr[n + 1]):
+        j = number[b, index[k]]
+        if j >= 0:
+            c = block[k]
+            for row in range(3):
+                for column in range(3):
+                    between[b, i, j, 3 * row + column] = c[row, column]
+
+
+@wp.kernel
+def refined_displacement(
+    force: wp.array2d(dtype=wp.vec3),
+    indptr: wp.array(dtype=wp.int32),
+    index: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33),
+    displacement: wp.array2d(dtype=wp.vec3),
+):
+    """Add what refinement adds to the nodes [b, n] of the finer grid under forces on them."""
+    b, n = wp.tid()
+    f = force[b, n]
+    if wp.length_sq(f) == 0.0:
+        return
+    # It is symmetric: the transpose of a row is a column.
+    for k in range(indptr[n], indptr[n + 1]):
+        wp.atomic_add(displacement, b, index[k], wp.transpose(block[k]) * f)

@@ -1,0 +1,206 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The skin of many gels: its motion with the grid, and its compliance around the contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from dotsim_ros.gel.batched import kernels
+from dotsim_ros.gel.batched.contact import vectors
+from dotsim_ros.gel.batched.elastic import sparse_tensor
+from dotsim_ros.gel.implicit.refinement import Refinement
+from dotsim_ros.io.warp_runtime import wp
+
+ROUNDING = 16
+"""On a CPU, counts of markers and nodes are rounded up to multiples of this."""
+
+
+_COMPONENTS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+_UPPER = [3 * i + j for i, j in _COMPONENTS]
+
+
+@dataclass(frozen=True)
+class Stencils:
+    """The nodes (V, 27) that each marker of the skin moves with, their weights (V, 27), the same as
+    a sparse matrix (V, N), and the number of nodes."""
+
+    node: torch.Tensor
+    weight: torch.Tensor
+    matrix: torch.Tensor
+    node_count: int
+
+
+def stencils_of(matrix: Any, device: str) -> Stencils:
+    """Return the rows of a sparse matrix (V, N), none of which has more than 27 entries."""
+    csr = matrix.tocsr()
+    length = np.diff(csr.indptr)
+    row = np.repeat(np.arange(len(length)), length)
+    column = np.arange(len(row)) - np.repeat(csr.indptr[:-1], length)
+    node = np.zeros((len(length), 27), dtype=np.int64)
+    weight = np.zeros((len(length), 27), dtype=np.float32)
+    node[row, column], weight[row, column] = csr.indices, csr.data
+    return Stencils(
+        torch.as_tensor(node, device=device),
+        torch.as_tensor(weight, device=device),
+        sparse_tensor(csr, device),
+        csr.shape[1],
+    )
+
+
+class Skin:
+    """The skin on its grid, and on the finer grid that refines it.
+
+    Args:
+        rest_m: (V, 3) its markers at rest.
+        stencils: on the grid.
+        compliance: (3 N, 3 N) of the grid at rest, m/N.
+        fine: stencils on the finer grid and what that adds to the compliance; None for a skin that
+            is not refined.
+    """
+
+    def __init__(
+        self,
+        rest_m: torch.Tensor,
+        stencils: Stencils,
+        compliance: torch.Tensor,
+        fine: tuple[Stencils, Refinement] | None,
+    ) -> None:
+        self.rest_m, self._stencils = rest_m, stencils
+        n = stencils.node_count
+        # The blocks of nodes i and j, one after the other.
+        self._blocks = compliance.view(n, 3, n, 3).permute(0, 2, 1, 3).reshape(n * n, 9)
+        self._blocks = self._blocks.contiguous()
+        self._device = str(rest_m.device)
+        self._fine: Stencils | None = None
+        if fine is not None:
+            self._fine, table = fine
+            self._table: list[Any] = [
+                wp.array(table.indptr, dtype=wp.int32, device=self._device),
+                wp.array(table.index, dtype=wp.int32, device=self._device),
+                wp.array(table.block.astype(np.float32), dtype=wp.mat33, device=self._device),
+            ]
+
+    def positions(
+        self, displacement_m: torch.Tensor, index: torch.Tensor, force_n: torch.Tensor
+    ) -> torch.Tensor:
+        """Return the skin (B, V, 3) at displacements (N, 3, B) of the grid under forces (B, K, 3)
+        on markers (B, K)."""
+        moved = _times(self._stencils.matrix, displacement_m)
+        if self._fine is not None:
+            added = self._fine_displacement(_spread(self._fine, index, force_n))
+            moved = moved + _times(self._fine.matrix, added)
+        return (self.rest_m[:, :, None] + moved).permute(2, 0, 1).contiguous()
+
+    def markers_at(self, index: torch.Tensor, displacement_m: torch.Tensor) -> torch.Tensor:
+        """Return markers (B, K) of the skin (B, K, 3) at displacements (N, 3, B) of the grid."""
+        nodal = displacement_m.permute(2, 0, 1).contiguous()
+        base = self.rest_m[index]
+        result = torch.empty_like(base)
+        wp.launch(
+            kernels.interpolate,
+            dim=tuple(index.shape),
+            inputs=[
+                wp.from_torch(self._stencils.node[index].to(torch.int32)),
+                wp.from_torch(self._stencils.weight[index]),
+                vectors(nodal),
+                vectors(base),
+                vectors(result),
+            ],
+            device=self._device,
+        )
+        return result
+
+    def load(self, index: torch.Tensor, force_n: torch.Tensor) -> torch.Tensor:
+        """Return the forces on the grid's nodes (N, 3, B) under forces (B, K, 3) on markers."""
+        return _spread(self._stencils, index, force_n).permute(1, 2, 0).contiguous()
+
+    def compliance(self, index: torch.Tensor) -> torch.Tensor:
+        """Return the compliance (B, 3 K, 3 K) at rest between markers (B, K), m/N."""
+        node, _, weight = _around(self._stencils, index)
+        b, count = node.shape
+        n = self._stencils.node_count
+        pairs = (node[:, :, None] * n + node[:, None, :]).view(-1)
+        result = _between(weight, self._blocks.index_select(0, pairs).view(b, count, count, 9))
+        if self._fine is not None:
+            node, number, weight = _around(self._fine, index)
+            blocks = result.new_zeros(b, node.shape[1], node.shape[1], 9)
+            wp.launch(
+                kernels.gather_refinement,
+                dim=tuple(node.shape),
+                inputs=[
+                    wp.from_torch(node.to(torch.int32)),
+                    wp.from_torch(number),
+                    *self._table,
+                    wp.from_torch(blocks),
+                ],
+                device=self._device,
+            )
+            result += _between(weight, blocks)
+        return result
+
+    def _fine_displacement(self, load_n: torch.Tensor) -> torch.Tensor:
+        """Return what the finer grid adds (F, 3, B) under forces (B, F, 3) on its nodes."""
+        moved = torch.zeros_like(load_n)
+        wp.launch(
+            kernels.refined_displacement,
+            dim=tuple(load_n.shape[:2]),
+            inputs=[vectors(load_n), *self._table, vectors(moved)],
+            device=self._device,
+        )
+        return moved.permute(1, 2, 0).contiguous()
+
+
+def _spread(stencils: Stencils, index: torch.Tensor, force_n: torch.Tensor) -> torch.Tensor:
+    """Return the forces on nodes (B, N, 3) under forces (B, K, 3) on markers (B, K)."""
+    b = len(index)
+    weighted = stencils.weight[index][..., None] * force_n[:, :, None]
+    node = stencils.node[index].view(b, -1, 1).expand(-1, -1, 3)
+    nodal = force_n.new_zeros(b, stencils.node_count, 3)
+    return nodal.scatter_add_(1, node, weighted.view(b, -1, 3))
+
+
+def _times(matrix: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """Return a sparse matrix (n, m) times (m, 3, B)."""
+    return (matrix @ values.reshape(len(values), -1)).view(-1, *values.shape[1:])
+
+
+def _around(
+    stencils: Stencils, index: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the nodes (B, R) around markers (B, K), the number of each of all nodes (B, N) among
+    them, -1 for others, and the markers' weights on them (B, K, R)."""
+    b, k = index.shape
+    flat = stencils.node[index].view(b, -1)
+    weight = stencils.weight[index]
+    used = torch.zeros(b, stencils.node_count, device=index.device)
+    used.scatter_add_(1, flat, weight.abs().view(b, -1))
+    most = int((used > 0.0).sum(dim=1).max())
+    count = min(stencils.node_count, -(-max(most, 1) // ROUNDING) * ROUNDING)
+    node = torch.topk(used, count, dim=1).indices
+    number = torch.full((b, stencils.node_count), -1, dtype=torch.int32, device=index.device)
+    every = torch.arange(count, dtype=torch.int32, device=index.device)
+    number.scatter_(1, node, every.expand(b, -1))
+    column = torch.gather(number, 1, flat).to(torch.int64).clamp(min=0).view(b, k, 27)
+    dense = torch.zeros(b, k, count, device=index.device)
+    return node, number, dense.scatter_add_(2, column, weight)
+
+
+def _between(weight: torch.Tensor, blocks: torch.Tensor) -> torch.Tensor:
+    """Return W C W' (B, 3 K, 3 K) of weights (B, K, R) and the blocks (B, R, R, 9) of C, which is
+    symmetric."""
+    b, k, r = weight.shape
+    upper = blocks[..., _UPPER].permute(3, 0, 1, 2).reshape(6 * b, r, r)
+    every = weight.expand(6, b, k, r).reshape(6 * b, k, r)
+    whole = torch.bmm(torch.bmm(every, upper), every.transpose(1, 2)).view(6, b, k, k)
+    result = weight.new_empty(b, k, 3, k, 3)
+    for part, (i, j) in zip(whole, _COMPONENTS, strict=True):
+        result[:, :, i, :, j] = part
+        if i != j:
+            result[:, :, j, :, i] = part.transpose(1, 2)
+    return result.view(b, 3 * k, 3 * k)

@@ -1,0 +1,135 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The gel with a batch axis, against the implicit gel and against itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dotsim_ros.gel.implicit.gel import ImplicitGel
+from dotsim_ros.gel.make import make_gel_batch
+from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.specification import SensorSpecification, load_sensor
+
+pytest.importorskip("torch")
+
+from dotsim_ros.gel.batched.gel import BatchedGel, BatchState, Effort
+
+SENSOR = load_sensor("densetact2")
+NAMES = ("sphere_4mm", "box_edge", "torus")
+
+
+def pressed(depth_m: float, aside_m: float = 0.0) -> Pose:
+    """Return a pose that presses along an axis off the dome's own."""
+    axis = np.array((0.3, 0.15, 1.0)) / np.linalg.norm((0.3, 0.15, 1.0))
+    half = np.array([-axis[1], axis[0], 0.0, 1.0 + axis[2]])
+    pose = Pose(axis * (SENSOR.gel.outer_radius_m - depth_m), half / np.linalg.norm(half))
+    return Pose(pose.position_m + aside_m * pose.rotation()[:, 1], pose.quaternion_xyzw)
+
+
+def step(gel: BatchedGel, poses: list[Pose]) -> BatchState:
+    return gel.step(
+        np.array([pose.position_m for pose in poses]),
+        np.array([pose.quaternion_xyzw for pose in poses]),
+    )
+
+
+def solved_closely(sensor: SensorSpecification, indenter: Indenter) -> ImplicitGel:
+    solver = replace(sensor.solver, tolerance_m=1e-6, iterations=40)
+    return make_gel_batch(replace(sensor, solver=solver), indenter=indenter, environment_count=1)
+
+
+@pytest.fixture(scope="module")
+def indenters():
+    return [load_indenter(name) for name in NAMES]
+
+
+def test_presses_slides_and_releases_are_those_of_the_implicit_gel(indenters):
+    gel = BatchedGel(SENSOR, indenters, len(NAMES))
+    singles = [solved_closely(SENSOR, one) for one in indenters]
+    motion = [(0.5e-3, 0.0), (1.0e-3, 0.0), (1.0e-3, 0.4e-3), (0.4e-3, 0.4e-3)]
+    for depth_m, aside_m in motion:
+        # Each gel at a depth of its own.
+        poses = [pressed(depth_m + 0.1e-3 * k, aside_m) for k in range(len(NAMES))]
+        found = step(gel, poses)
+        for b, (single, pose) in enumerate(zip(singles, poses, strict=True)):
+            [right] = single.step([pose], 0.04)
+            force_n = np.linalg.norm(right.wrench.force_n)
+            skin_m = found.skin_position_m[b].numpy() - right.skin_position_m
+            assert np.linalg.norm(skin_m, axis=1).max() < 60e-6, (NAMES[b], depth_m, aside_m)
+            np.testing.assert_allclose(
+                found.force_n[b].numpy(), right.wrench.force_n, atol=0.02 * force_n
+            )
+            np.testing.assert_allclose(
+                found.torque_nm[b].numpy(), right.wrench.torque_nm, atol=0.02 * force_n * 16e-3
+            )
+    # An indenter away leaves nothing behind.
+    released = step(gel, [pressed(-1e-3)] * len(NAMES))
+    assert not released.force_n.any()
+    rest = np.broadcast_to(gel.rest_position_m, released.skin_position_m.shape)
+    np.testing.assert_array_equal(released.skin_position_m.numpy(), rest)
+
+
+def test_a_gel_does_not_depend_on_the_others(indenters):
+    """With fixed counts, to what the products of another size round differently."""
+    effort = Effort(outer=3, newton=4, tolerance_m=0.0)
+    together = BatchedGel(SENSOR, indenters[:2], 2, effort=effort)
+    alone = BatchedGel(SENSOR, indenters[1], 1, effort=effort)
+    for depth_m in (0.5e-3, 0.8e-3):
+        both = step(together, [pressed(2.0 * depth_m), pressed(depth_m)])
+        one = step(alone, [pressed(depth_m)])
+        np.testing.assert_allclose(both.skin_position_m[1], one.skin_position_m[0], atol=2e-6)
+        np.testing.assert_allclose(both.force_n[1], one.force_n[0], rtol=0.01, atol=1e-4)
+
+
+def test_friction_and_stiffness_are_those_of_each_gel(indenters):
+    gel = BatchedGel(
+        SENSOR,
+        indenters[0],
+        3,
+        friction=np.array([0.0, 0.4, 0.4]),
+        modulus_factor=np.array([1.0, 1.0, 2.5]),
+    )
+    step(gel, [pressed(1.0e-3)] * 3)
+    slid = step(gel, [pressed(1.0e-3, 0.5e-3)] * 3)
+    # The shape does not depend on Young's modulus, the forces are proportional to it.
+    np.testing.assert_allclose(slid.skin_position_m[2], slid.skin_position_m[1], atol=1e-7)
+    np.testing.assert_allclose(slid.force_n[2], 2.5 * slid.force_n[1], rtol=1e-4)
+    # Without friction the force points to the middle of the sphere that presses: through the
+    # pose's origin plus the sphere's centre, so the moment about that centre vanishes.
+    centre_m = pressed(1.0e-3, 0.5e-3).apply(np.array([0.0, 0.0, 4.0e-3]))
+    about = slid.torque_nm.numpy() - np.cross(centre_m, slid.force_n.numpy())
+    force_n = np.linalg.norm(slid.force_n.numpy(), axis=1)
+    assert np.linalg.norm(about[0]) < 1e-3 * force_n[0] * 4e-3
+    assert np.linalg.norm(about[1]) > 0.1 * force_n[1] * 4e-3
+
+
+def test_a_pad_and_an_unrefined_gel_are_solved_too():
+    pad = load_sensor("flat_pad")
+    sphere = load_indenter("sphere_4mm")
+    top_m = pad.gel.pad_size_m[2]
+    for sensor in (pad, replace(pad, solver=replace(pad.solver, refined=False))):
+        gel = BatchedGel(sensor, sphere, 2, effort=Effort(outer=10, newton=8))
+        single = solved_closely(sensor, sphere)
+        for depth_m in (0.3e-3, 0.6e-3):
+            pose = Pose(np.array([1e-3, 0.0, top_m - depth_m]))
+            found = step(gel, [pose] * 2)
+            [right] = single.step([pose], 0.04)
+            skin_m = found.skin_position_m[0].numpy() - right.skin_position_m
+            assert np.linalg.norm(skin_m, axis=1).max() < 5e-6
+            np.testing.assert_allclose(
+                found.force_n[0].numpy()[2], right.wrench.force_n[2], rtol=0.005
+            )
+
+
+def test_what_a_batch_cannot_take_is_refused(indenters):
+    with pytest.raises(ValueError, match=r"2 indenters for 3 gels"):
+        BatchedGel(SENSOR, indenters[:2], 3)
+    with pytest.raises(ValueError, match=r"friction has the shape \(2,\), expected \(3,\)"):
+        BatchedGel(SENSOR, indenters[0], 3, friction=np.zeros(2))
+    slow = replace(SENSOR, solver=replace(SENSOR.solver, dynamic=True))
+    with pytest.raises(ValueError, match="no inertia"):
+        BatchedGel(slow, indenters[0], 1)

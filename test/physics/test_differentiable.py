@@ -1,0 +1,93 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Derivatives of a trajectory by torch, against central finite differences of `press` itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.specification import load_sensor
+
+pytest.importorskip("torch")
+
+import torch
+
+from dotsim_ros.differentiable import Touch, press
+
+PAD = load_sensor("flat_pad")
+SENSOR = replace(PAD, solver=replace(PAD.solver, refined=False))
+TOP_M = PAD.gel.pad_size_m[2]
+PATH = [
+    Pose(np.array([x, 0.1e-3, TOP_M + z]))
+    for x, z in ((0.0, 0.2e-3), (0.0, -0.3e-3), (0.1e-3, -0.6e-3), (0.5e-3, -0.6e-3))
+]
+
+
+def loss_of(touch: Touch) -> torch.Tensor:
+    """Return a loss in which every output has a part, that of the slide the largest."""
+    weight = torch.linspace(1.0, 2.0, 3, dtype=torch.float64)
+    skin = touch.skin_position_m[-1] - torch.as_tensor([0.0, 0.0, TOP_M])
+    return 1e6 * (skin**2 * weight).sum() + (touch.force_n * weight).sum() + touch.torque_nm.sum()
+
+
+def solved(path: list[Pose] = PATH, **values: float) -> float:
+    return float(loss_of(press(SENSOR, load_indenter("sphere_4mm"), path, **values)))
+
+
+@pytest.fixture(scope="module")
+def gradient() -> dict[str, torch.Tensor]:
+    own = PAD.material
+    given = {
+        name: torch.tensor(value, dtype=torch.float64, requires_grad=True)
+        for name, value in (
+            ("youngs_modulus_pa", own.youngs_modulus_pa),
+            ("poisson_ratio", own.poisson_ratio),
+            ("friction", PAD.contact.friction_coefficient),
+            ("contact_stiffness", PAD.contact.stiffness),
+        )
+    }
+    twist = torch.zeros(len(PATH), 6, dtype=torch.float64, requires_grad=True)
+    touch = press(SENSOR, load_indenter("sphere_4mm"), PATH, pose_twist=twist, **given)
+    loss_of(touch).backward()
+    return {**given, "twist": twist}
+
+
+@pytest.mark.parametrize(
+    ("name", "relative_step"),
+    [
+        ("youngs_modulus_pa", 1e-4),
+        ("poisson_ratio", 1e-5),
+        ("friction", 1e-4),
+        ("contact_stiffness", 1e-4),
+    ],
+)
+def test_derivatives_by_values_are_those_of_differences(gradient, name, relative_step):
+    value = gradient[name].item()
+    step = relative_step * value
+    expected = (solved(**{name: value + step}) - solved(**{name: value - step})) / (2.0 * step)
+    assert float(gradient[name].grad) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(("frame", "axis"), [(3, 0), (3, 2), (2, 1)])
+def test_derivatives_by_a_pose_are_those_of_differences(gradient, frame, axis):
+    step = 1e-7
+    found = []
+    for sign in (1.0, -1.0):
+        path = list(PATH)
+        moved = path[frame].position_m + sign * step * np.eye(3)[axis]
+        path[frame] = replace(path[frame], position_m=moved)
+        found.append(solved(path))
+    expected = (found[0] - found[1]) / (2.0 * step)
+    assert float(gradient["twist"].grad[frame, axis]) == pytest.approx(expected, rel=1e-3)
+
+
+def test_what_has_no_derivative_is_refused():
+    sphere = load_indenter("sphere_4mm")
+    with pytest.raises(TypeError, match="no parameter 'stiffness', expected some of youngs"):
+        press(SENSOR, sphere, PATH, stiffness=torch.tensor(1.0))
+    with pytest.raises(ValueError, match=r"shape \(2, 6\), expected zeros of shape \(4, 6\)"):
+        press(SENSOR, sphere, PATH, pose_twist=torch.zeros(2, 6))
