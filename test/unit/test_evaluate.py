@@ -177,6 +177,24 @@ def test_channels_stamped_otherwise_are_refused() -> None:
         press_of(trajectory(wrench=late), name="a", indenter="ball")
 
 
+def test_a_press_that_is_not_valid_is_refused_with_the_reason() -> None:
+    skin = press().skin_position_m
+    assert skin is not None
+    broken = skin.copy()
+    broken[2, 7, 1] = np.nan
+    for changes, reason in (
+        ({"skin_position_m": 1e3 * skin}, r"skin, frame 0: .* were these millimetres\?"),
+        ({"skin_position_m": broken}, "skin, frame 2: a number is not finite"),
+        ({"stamp_s": np.array([1.0, 1.1, 1.1, 1.2])}, "frame 2 is not later"),
+    ):
+        with pytest.raises(ValueError, match=f"ball_0.*{reason}"):
+            press(**changes)
+    with pytest.raises(ValueError, match="a: no pose of the indenter; record it"):
+        press_of(trajectory(pose=None), name="a", indenter="ball")
+    only_poses = press_of(trajectory(skin=None, wrench=None), name="a", indenter="ball")
+    assert only_poses.skin_position_m is only_poses.force_n is None
+
+
 def test_steps_divide_what_is_too_long() -> None:
     pressed = press()
     way = list(steps(pressed.poses, pressed.stamp_s, longest_step_s=0.04))
@@ -215,6 +233,10 @@ def test_a_stratified_draw_fits_and_judges_every_protocol() -> None:
     assert {hold_out_of_protocols(names, 4, seed)[1] for seed in range(5)} != {test}
     with pytest.raises(ValueError, match="hold out 6 at most"):
         hold_out_of_protocols(names, 7)
+    with pytest.raises(ValueError, match="cannot be held out; expected 1 to 2"):
+        hold_out_of_protocols(["a_0", "a_1", "a_2"], 3)
+    with pytest.raises(ValueError, match="a more than once"):
+        hold_out_of_protocols(["a", "b", "a"], 1)
 
 
 def test_every_indenter_is_left_out_once() -> None:
