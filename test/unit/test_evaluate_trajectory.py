@@ -16,13 +16,16 @@ from scipy.spatial.transform import Rotation
 
 import msg_adapters
 from dotsim_ros.control.loop.bag import read_loop_bag
-from dotsim_ros.control.loop.judge import judge
+from dotsim_ros.control.loop.judge import judge, trial_start
 from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording
-from dotsim_ros.control.policy.paths import reference_path
+from dotsim_ros.control.loop.report import path_image, trial_report
+from dotsim_ros.control.policy.paths import PATHS, DomeContact, reference_path
 from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.data.bag import BAG_TYPES, BagFile
 from dotsim_ros.geometry.pose import Pose, compose, inverse
 from dotsim_ros.io.files import parameter_path
+from dotsim_ros.io.page import as_markdown
+from dotsim_ros.io.provenance import provenance
 from dotsim_ros.specification import load_sensor
 from studies.trajectory.pictures import write_grid
 from studies.trajectory.trials import (
@@ -84,9 +87,29 @@ def test_where_the_indenter_is_put_is_where_the_sensor_sees_it() -> None:
     assert abs(seen.quaternion_xyzw[3]) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("name", PATHS)
+def test_who_goes_along_the_path_makes_no_error_and_all_the_laps(name: str) -> None:
+    row = judge(recording_of(name), reference_path(name), LIMITS)
+    assert row["mean_error_mm"] < 0.001
+    assert row["laps"] == pytest.approx(row["laps_of_expert"], rel=0.02)
+    assert row["exceeded"] == []
+    assert row["frame_rate_hz"] == pytest.approx(25.0)
+    assert row["feedback_rate_hz"] == pytest.approx(100.0)
+    assert row["force_n"] == 1.5
+
+
 def test_the_error_is_the_distance_from_the_path() -> None:
     row = judge(recording_of("line", beside_m=0.5e-3), reference_path("line"), LIMITS)
     assert row["mean_error_mm"] == pytest.approx(0.5, abs=0.01)
+
+
+def test_the_approach_is_not_judged() -> None:
+    recording = recording_of("line", seconds=4.0)
+    pose = recording.pose.copy()
+    pose[:190, 1] += 0.01
+    row = judge(replace(recording, pose=pose), reference_path("line"), LIMITS)
+    assert row["mean_error_mm"] < 0.001
+    assert row["excursion_mm"][1] > 9.0
 
 
 def test_the_time_in_which_nothing_was_commanded_is_not_judged() -> None:
@@ -139,6 +162,27 @@ def test_a_trial_that_was_never_led_or_latched_early_is_told() -> None:
     assert refused["ended"] == "refused: no image"
     assert found["stops"] == {"workspace": 1}
     assert found["std_mm"] is None
+
+
+def test_a_recording_is_read_as_it_was_written(tmp_path: Path) -> None:
+    recording = recording_of(stops={"image_stale": 2})
+    recording.save(tmp_path / "a.npz")
+    again = LoopRecording.load(tmp_path / "a.npz")
+    np.testing.assert_array_equal(again.pose, recording.pose)
+    np.testing.assert_array_equal(again.indenter_m(), recording.indenter_m())
+    assert again.notes == recording.notes
+    (tmp_path / "b.npz").write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(ValueError, match="no recording of a closed loop"):
+        LoopRecording.load(tmp_path / "b.npz")
+
+
+def test_a_stretch_of_a_recording_holds_what_happened_in_it() -> None:
+    recording = recording_of()
+    part = recording.between(START_S + 2.0, START_S + 3.0)
+    assert part.pose_s[0] >= START_S + 2.0
+    assert len(part.pose) == len(part.pose_s) == pytest.approx(101, abs=1)
+    assert len(part.command) == len(part.command_s) == pytest.approx(26, abs=1)
+    assert part.led_s()[1] <= START_S + 3.0
 
 
 def test_a_bag_is_read_as_the_same_recording(tmp_path: Path) -> None:
@@ -241,6 +285,14 @@ def test_a_loop_that_does_not_start_is_tried_again_and_then_told(tmp_path: Path)
         run_trials(plan, broken, LIMITS, tmp_path / "b", progress=lines.append)
 
 
+def test_starts_are_near_the_path_and_the_same_for_a_seed() -> None:
+    contact, path = DomeContact(), reference_path("arc")
+    starts = [trial_start(path, contact, seed=0, number=n) for n in range(20)]
+    assert path.nearest(np.array(starts))[0].max() < 2e-3
+    assert len({tuple(start) for start in starts}) == 20
+    np.testing.assert_array_equal(starts[3], trial_start(path, contact, seed=0, number=3))
+
+
 def test_the_shifted_sensor_is_stiffer_darker_and_tilted(tmp_path: Path) -> None:
     shifted = setting_of("shifted", tmp_path, trained_on="densetact2")
     own, other = load_sensor("densetact2"), load_sensor(shifted.sensor)
@@ -281,3 +333,14 @@ def test_the_figures_are_of_all_trials(tmp_path: Path) -> None:
     assert "press" in figures["transferred"]["paths"]
     write_grid(tmp_path / "grid.png", trials.recordings)
     assert pixels_of(str(tmp_path / "grid.png")).shape[1] > 500
+
+
+def test_the_report_of_a_trial_says_whether_it_kept_the_limits() -> None:
+    recording = recording_of("press")
+    row = judge(recording, reference_path("press"), LIMITS)
+    image = path_image("press", [recording], name="path")
+    given: dict[str, Any] = {"path": "press", "policy": "p", "sensor": "s", "origin": provenance()}
+    text = as_markdown(trial_report(row, LIMITS, image, **given))
+    assert "within all limits" in text
+    bad = as_markdown(trial_report(row | {"exceeded": ["speed_mm_s"]}, LIMITS, image, **given))
+    assert "beyond a limit" in bad
