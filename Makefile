@@ -9,16 +9,18 @@ OUT ?= out
 # A sourced ROS 2 Jazzy is used as it is; otherwise ROS comes from wheels, into the same $(VENV).
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_OPTIONS := --system-site-packages
-EXTRAS := learning,test,dev,docs
+DEMO_EXTRAS := live
 else
 VENV_OPTIONS :=
-EXTRAS := ros,learning,test,dev,docs
+DEMO_EXTRAS := ros,live
 endif
 
+# The demos need a quarter of what tests, training and the documentation need: no torch above all.
 INSTALLED := $(VENV)/.installed-$(ROS_DISTRO)
+INSTALLED_DEMO := $(VENV)/.installed-demo-$(ROS_DISTRO)
 # ROS from wheels beside a sourced ROS would load the libraries of both into one process: a $(VENV)
 # made for the other one, or left half-made, is made again.
-CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--clear))
+CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED) $(INSTALLED_DEMO)),,--clear))
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
@@ -29,10 +31,10 @@ TOGETHER := -n 3 --dist loadfile --no-loadscope-reorder
 FAULTS ?= $(OUT)/faults.json
 SECONDS ?= 60
 
-.PHONY: help setup live demo demo-loop test faults fuzz lint docs canary results clean
+.PHONY: help setup setup-demo live demo demo-loop test faults fuzz lint docs canary results clean
 
 help:
-	@echo "make setup   everything into $(VENV)"
+	@echo "make setup   everything into $(VENV); the demos install what they need alone"
 	@echo "make live    the sensor in the browser: drag an indenter over it"
 	@echo "make demo    the node, real presses replayed into it, a bag and a video in $(OUT)/demo"
 	@echo "make demo-loop   a policy follows a path by touch; a bag, a picture and a report"
@@ -46,20 +48,25 @@ help:
 
 setup: $(INSTALLED)
 
-$(INSTALLED): setup.py
+setup-demo: $(or $(wildcard $(INSTALLED)),$(INSTALLED_DEMO))
+
+$(INSTALLED): EXTRAS := $(DEMO_EXTRAS),learning,test,dev,docs
+$(INSTALLED_DEMO): EXTRAS := $(DEMO_EXTRAS)
+$(INSTALLED) $(INSTALLED_DEMO): setup.py
 	@case "$(ROS_DISTRO)" in ''|jazzy) ;; *) echo "dotsim_ros needs ROS 2 Jazzy, $(ROS_DISTRO) is sourced: use a shell without it" >&2; exit 1;; esac
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; v in ((3, 11), (3, 12)) or sys.exit("dotsim_ros needs Python 3.11 or 3.12, this is %d.%d: make PYTHON=python3.12" % v)'
 	$(PYTHON) -m venv $(VENV_OPTIONS) $(CLEAR) $(VENV)
-	$(VENV)/bin/python -m pip install --quiet --editable ".[$(EXTRAS)]"
+	@rm -f $(VENV)/.installed-*
+	$(VENV)/bin/python -m pip install --quiet --no-compile --editable ".[$(EXTRAS)]"
 	@touch $@
 
-live: setup
+live: setup-demo
 	$(RUN) dotsim_ros live --open --out $(OUT)/live
 
-demo: setup
+demo: setup-demo
 	$(RUN) dotsim_ros demo --out $(OUT)/demo
 
-demo-loop: setup
+demo-loop: setup-demo
 	$(RUN) dotsim_ros demo-loop --out $(OUT)/demo-loop
 
 # Each part runs, whatever those before it found.

@@ -38,6 +38,7 @@ from studies.data import DATA
 from studies.results_page import RESULTS, origin_of, tables_of
 
 ROOT = Path(__file__).resolve().parents[1]
+HELP = {"--help", "-h"}
 FAILED = "failed"
 """Key of the figures under which a study lists what failed."""
 
@@ -293,7 +294,7 @@ def main(arguments: Sequence[str]) -> int:
             return _refused("--json names no folder, expected --json DIR")
         directory = Path(words[place + 1])
         del words[place : place + 2]
-    if not words or words[0] in ("--help", "-h"):
+    if not words or words[0] in HELP:
         print(__doc__)
         for name, study in STUDIES.items():
             print(f"{name:36} {study.minutes:3d} min  {study.summary()}")
@@ -326,7 +327,8 @@ def main(arguments: Sequence[str]) -> int:
             print(f"{name}: {error}", file=sys.stderr)
             is_well = False
         failed += [] if is_well else [name]
-        print(f"{name}: {(time.monotonic() - begun) / 60.0:.1f} minutes", flush=True)
+        if not HELP.intersection(words):
+            print(f"{name}: {(time.monotonic() - begun) / 60.0:.1f} minutes", flush=True)
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
     return min(len(failed), 1)

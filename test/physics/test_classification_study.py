@@ -126,24 +126,3 @@ def test_rows_are_made_once(unit: Path, tmp_path: Path, kept: Path) -> None:
     assert len(before) == 2 * len(DOMAINS)
     assert classify(unit, tmp_path, kept, models=("bound", "idle")) == found
     assert rows_in(kept) == before
-
-
-def test_a_model_that_refines_the_idle_image_is_judged_too(
-    unit: Path, tmp_path: Path, kept: Path
-) -> None:
-    before = rows_in(kept)
-    found = classify(unit, tmp_path, kept, models=("carried",), domains=("out_of_domain",))
-    assert len(rows_in(kept).keys() - before.keys()) == 1
-    row = found["out_of_domain"]["carried"]
-    assert row["frames"] == 8
-    assert row["simulated"] is not None
-
-
-def test_what_cannot_be_asked_is_refused(unit: Path, tmp_path: Path, kept: Path) -> None:
-    with pytest.raises(ValueError, match="seed is -1, expected 0 or more"):
-        classify(unit, tmp_path, kept, seed=-1)
-    with pytest.raises(ValueError, match="0 presses of 6 frames, expected one at least"):
-        classify(unit, tmp_path, kept, presses=0)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(FileNotFoundError, match=r"holds no in_domain\.yaml"):
-        classify(unit, tmp_path, kept, sensor=str(tmp_path / "empty"))

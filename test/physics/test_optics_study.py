@@ -23,7 +23,6 @@ from dotsim_ros.data.trajectory import (
     write_trajectory,
 )
 from studies.optics.record import optics
-from studies.rivals.optics import tacto
 
 RADIUS_M = 0.01575
 TIP_DEPTHS_M = (-0.5e-3, 0.5e-3, 1.2e-3, 1.9e-3, 2.5e-3)
@@ -77,18 +76,14 @@ def write_photographed_presses(folder: Path) -> None:
     (folder / "coarse.yaml").write_text(COARSE_SENSOR)
 
 
-def test_the_study_on_a_small_data_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(tacto, "GENERATIONS", 2)
-    monkeypatch.setattr(tacto, "SEARCH_PIXELS", 1000)
+def test_the_study_on_a_small_data_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_photographed_presses(tmp_path)
 
     def measured() -> dict[str, Any]:
         return optics(
             data=tmp_path,
             sensor=str(tmp_path / "coarse.yaml"),
-            models=("idle", "tacto", "taxim", "carried"),
+            models=("idle", "taxim", "carried"),
             splits=("medium", "hard"),
             images=tmp_path / "images",
             cache=tmp_path / "cache",
@@ -97,7 +92,7 @@ def test_the_study_on_a_small_data_set(
     figures = measured()
     assert figures["failures"] == []
     for way in ("by_frame", "by_trajectory"):
-        assert set(figures["medium"][way]) == {"idle", "tacto", "taxim", "carried"}
+        assert set(figures["medium"][way]) == {"idle", "taxim", "carried"}
         assert figures["hard"][way]["idle"]["frames"] == 20
     assert figures["medium"]["by_trajectory"]["idle"]["deep"]["frames"] == 2
     assert (tmp_path / "images" / "optics_hard.jpg").is_file()
@@ -105,33 +100,4 @@ def test_the_study_on_a_small_data_set(
     measured()
     said = capsys.readouterr().out
     assert "following" not in said
-    assert said.count("made before") == 16
-
-
-def test_a_sensor_for_each_level_and_how_long_networks_were_trained(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
-    write_photographed_presses(tmp_path)
-    calibrated = tmp_path / "calibrated"
-    calibrated.mkdir()
-    (calibrated / "easy.yaml").write_text(COARSE_SENSOR)
-    moved = COARSE_SENSOR.replace("[31.5, 23.5]", "[33.0, 23.5]")
-    (calibrated / "hard.yaml").write_text(moved)
-    given: dict[str, Any] = {
-        "data": tmp_path,
-        "sensor": str(calibrated),
-        "models": ("carried", "unet"),
-        "network_epochs": 1,
-        "network_width": 64,
-        "images": tmp_path / "images",
-        "cache": tmp_path / "cache",
-    }
-    with pytest.raises(FileNotFoundError, match=r"holds no medium\.yaml"):
-        optics(**given, splits=("medium",))
-    figures = optics(**given, splits=("easy", "hard"))
-    assert set(figures["splits"]) == {
-        f"{level}.{way}" for level in ("easy", "hard") for way in ("by_frame", "by_trajectory")
-    }
-    assert figures["hard"]["by_frame"]["carried"]["training"] is None
-    training = figures["hard"]["by_frame"]["unet"]["training"]
-    assert (training["width_px"], training["height_px"]) == (64, 48)
-    assert training["epochs"] == 1
+    assert said.count("made before") == 12

@@ -16,15 +16,13 @@ from dotsim_ros import load_sensor
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import Float32Array
-from studies.reference.run import CalculixMissingError
 from studies.tumour import pictures, presses, reality, study
 from studies.tumour.images import OTHER, Eye, Light
 from studies.tumour.layer_press import LayerPressSettings
 from studies.tumour.presses import SolvedPress, coarse, skin_turns, turned_skins
 from studies.tumour.record import tumour
 from studies.tumour.rigid import rigid_presses
-from studies.tumour.skins import CLASSES, FACTORS, SKIN_NAMES, SKINS, PressPlan, changed
-from studies.tumour.study import Study
+from studies.tumour.skins import CLASSES, SKINS, PressPlan
 
 needs_calculix = pytest.mark.skipif(
     shutil.which("ccx") is None, reason="CalculiX is not installed: apt-get install calculix-ccx"
@@ -75,30 +73,6 @@ def test_presses_are_judged_and_not_solved_again(
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
 
 
-def test_what_cannot_be_asked_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutil, "which", lambda _name: "/bin/false")
-    given: dict[str, Any]
-    for given, words in (
-        ({"seed": -1}, "seed is -1, expected 0 or more"),
-        ({"presses": 1}, "1 simulated presses of each class, expected 2 at least"),
-        ({"judged": 0}, "judged is 0, expected 1 or more"),
-        ({"classifiers": 0}, "seeds is 0, expected 1 or more"),
-        ({"sensor": "flat_pad"}, "expected 'dome': skins are pressed by a dome"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            detect(tmp_path, **given)
-    monkeypatch.setattr(shutil, "which", lambda _name: None)
-    with pytest.raises(CalculixMissingError, match="apt-get install calculix-ccx"):
-        detect(tmp_path)
-    assert not list(tmp_path.rglob("*.json"))
-    with pytest.raises(ValueError, match="no skin skin_9; known are skin_1"):
-        Study(skins=("skin_9",))
-
-
-def test_every_skin_can_be_chosen() -> None:
-    assert tuple(SKINS) == SKIN_NAMES
-
-
 def test_only_the_sign_of_the_insert_tells_the_classes() -> None:
     drawn = PressPlan().drawn(400, 0)
     assert [press.label for press in drawn[:4]] == [1, 0, 1, 0]
@@ -140,13 +114,6 @@ def test_a_turned_press_is_the_press_from_another_side(skin: SkinMesh) -> None:
     assert straight.skin_m[1] == pytest.approx(turned.skin_m[0], abs=2e-7)
     with pytest.raises(ValueError, match="6 turns of each press, expected 1 to 5"):
         turned_skins(skin, np.zeros((1, skin.vertex_count, 3), dtype=np.float32), 6)
-
-
-def test_a_changed_skin_is_another_one() -> None:
-    for name, (stiffness, thickness) in FACTORS.items():
-        layer = changed(SKINS["skin_2"], name)
-        assert layer.youngs_modulus_pa == stiffness * SKINS["skin_2"].youngs_modulus_pa
-        assert layer.thickness_m == thickness * SKINS["skin_2"].thickness_m
 
 
 def test_what_is_shown_is_how_the_image_moved(skin: SkinMesh) -> None:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from forked import Forked
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
@@ -72,17 +73,13 @@ class Executable:
         program = ["-c", code] if code else ["-m", module]
         if script is not None:
             program = [str(script)]
-        command = [sys.executable, "-u", *program, *with_parameters(parameters or {}), *arguments]
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        )
+        self.process = Forked([*program, *with_parameters(parameters or {}), *arguments])
         self._lines: list[str] = []
         self._changed = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
         for line in self.process.stdout:
             with self._changed:
                 self._lines.append(line)

@@ -23,8 +23,15 @@ INTERRUPTED = 130
 def made(target: str, out: Path, *arguments: str) -> Executable:
     """Start what a target runs, with arguments that make it shorter or keep it apart."""
     variables = [f"VENV={sys.prefix}", f"OUT={out}"]
-    # Without `setup`, which would install everything again where the tests have their own ways.
-    asked = ["make", "--no-print-directory", "--dry-run", "--assume-old=setup", target, *variables]
+    # Without `setup-demo`, which would install again where the tests have their own ways.
+    asked = [
+        "make",
+        "--no-print-directory",
+        "--dry-run",
+        "--assume-old=setup-demo",
+        target,
+        *variables,
+    ]
     recipe = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert recipe.count("\n") == 1, recipe
     command = f"exec env {recipe.strip()} {' '.join(arguments)}"

@@ -131,7 +131,7 @@ def test_doubled_interrupt_ends_cleanly(code, gap_s):
 
 def test_terminate_ends_cleanly():
     executable = started(SLOW_TO_STOP)
-    executable.process.terminate()
+    executable.process.send_signal(signal.SIGTERM)
     status, log = executable.exit_status(30.0), executable.log
     assert status == 0, log
     assert "finished" in log

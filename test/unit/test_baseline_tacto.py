@@ -30,13 +30,6 @@ def press_to(*depths_m: float) -> Press:
     return Press("press", "indenter", poses, np.arange(len(poses), dtype=float))
 
 
-def test_without_contact_the_skin_is_at_rest(skin: SkinMesh) -> None:
-    prediction = tacto.Tacto(1000.0).predict(press_to(-0.001), sphere(0.004), skin)
-    assert np.array_equal(prediction.skin_position_m[0], skin.rest_position_m)
-    assert prediction.force_n is not None
-    assert not prediction.force_n.any()
-
-
 @pytest.mark.parametrize(
     "indenter",
     [
@@ -59,13 +52,6 @@ def test_no_vertex_stays_inside(indenter: Indenter, skin: SkinMesh) -> None:
     # On the surface, not beyond it: 24 nm along the normal at most.
     assert distance[touched].max() < 3.0e-8
     assert np.array_equal(moved[~touched], skin.rest_position_m[~touched])
-
-
-def test_a_ball_leaves_its_own_shape(skin: SkinMesh) -> None:
-    radius, depth = 0.004, 0.002
-    found = clip_depths(skin, press_to(depth).poses, sphere(radius))[0]
-    apex = np.argmax(skin.rest_position_m[:, 2])
-    assert found[apex] == pytest.approx(depth, abs=1e-6)
 
 
 def test_the_force_of_a_straight_press_is_its_depth_times_the_stiffness(skin: SkinMesh) -> None:
@@ -92,20 +78,6 @@ def test_a_known_stiffness_is_told_from_noisy_forces(skin: SkinMesh) -> None:
     )
     fitted = tacto.fit([measured], {"ball": sphere(0.004)}, skin)
     assert fitted.stiffness_n_m == pytest.approx(1234.0, rel=5e-3)
-
-
-def test_presses_that_tell_nothing_are_refused(skin: SkinMesh) -> None:
-    rest = np.repeat(skin.rest_position_m[None], 1, axis=0)
-    away = press_to(-0.001)
-    apart = Press("apart", "ball", away.poses, away.stamp_s, rest, np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="no indenter touches"):
-        tacto.fit([apart], {"ball": sphere(0.004)}, skin)
-    with pytest.raises(ValueError, match="apart: unknown indenter 'ball'; known are cube"):
-        tacto.fit([apart], {"cube": box((0.004, 0.004, 0.004))}, skin)
-    with pytest.raises(ValueError, match="press: a baseline is fitted on skin and force"):
-        tacto.fit([away], {"indenter": sphere(0.004)}, skin)
-    with pytest.raises(ValueError, match="no press"):
-        tacto.fit([], {}, skin)
 
 
 def test_a_tilted_press_is_answered_along_its_own_normal(skin: SkinMesh) -> None:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +22,9 @@ from studies.optics.judge import (
     Idle,
     WarpedIdle,
     ceilings,
-    is_single_press,
-    restricted,
     score_frames,
-    scores_as_json,
-    scores_from_json,
     splits_of,
     summarize,
-    with_frames,
 )
 from studies.optics.models import FitSettings, factory_of
 from studies.optics.report import evaluate_optics, shown_frames
@@ -100,25 +95,6 @@ def maker(folder: Path, **settings: Any) -> RowMaker:
 # Frames
 
 
-def test_a_press_keeps_the_frames_named() -> None:
-    part = with_frames(PRESSES["1_shape_0"], [3, 1])
-    assert part.tip_depth_m == pytest.approx(DEPTHS_M[[3, 1]])
-    assert np.array_equal(part.measured, PRESSES["1_shape_0"].measured[[3, 1]])
-    assert len(part.normal) == len(part.depth_m) == len(part.warped) == 2
-
-
-def test_only_the_frames_to_fit_on_are_given() -> None:
-    split = splits_of(DATA)["medium"]["by_frame"]
-    given = restricted(PRESSES, split.train)
-    assert sum(len(p.measured) for p in given) == len(split.train)
-
-
-def test_a_cycle_is_no_single_press() -> None:
-    single = PRESSES["1_shape_0"]
-    assert is_single_press(single)
-    assert not is_single_press(with_frames(single, [0, 1, 2, 1, 0]))
-
-
 # Scores
 
 
@@ -143,26 +119,6 @@ def test_summaries_by_depth() -> None:
     assert figures["full_depth"]["disc"]["psnr_db"] == pytest.approx(20 * np.log10(255.0 / 15))
     assert set(figures["indenters"]) == {"1_shape", "2_shape"}
     assert figures["psnr_db"] > figures["deep"]["psnr_db"] > figures["full_depth"]["psnr_db"]
-
-
-def test_frames_are_told_apart_by_depth() -> None:
-    keys = [("1_shape_0", k) for k in range(4)]
-    depths = summarize(score_frames(Idle(), PRESSES, keys, REST)[0])["depths"]
-    assert list(depths) == ["untouched", "0 to 1 mm", "1 to 2 mm", "2 to 3 mm", "from 3 mm"]
-    assert [row and row["frames"] for row in depths.values()] == [1, None, 1, 1, 1]
-
-
-def test_a_depth_without_a_frame_has_no_figure() -> None:
-    figures = summarize(score_frames(Idle(), PRESSES, [("1_shape_0", 0)], REST)[0])
-    assert figures["deep"] is None
-    assert figures["full_depth"] is None
-    with pytest.raises(ValueError, match="no frame was judged"):
-        summarize([])
-
-
-def test_scores_survive_json() -> None:
-    scores, _ = score_frames(Idle(), PRESSES, [("1_shape_0", 2)], REST)
-    assert scores_from_json(json.loads(json.dumps(scores_as_json(scores)))) == scores
 
 
 def test_images_of_another_size_are_refused() -> None:
@@ -216,55 +172,12 @@ def test_a_row_is_made_once(tmp_path: Path) -> None:
         assert np.array_equal(again.images[key], image)
 
 
-def test_only_ours_is_given_the_refined_idle_image(tmp_path: Path) -> None:
-    split = splits_of(DATA)["easy"]["by_trajectory"]
-    shown = shown_frames(split, PRESSES, seed=0)
-    rows = {name: maker(tmp_path).make(name, split, shown) for name in ("idle", "idle_refined")}
-    for key in shown:
-        assert np.array_equal(rows["idle"].images[key], REST.idle)
-        assert np.array_equal(rows["idle_refined"].images[key], REST.idle + np.uint8(1))
-
-
 def test_a_broken_row_is_made_anew(tmp_path: Path) -> None:
     split = splits_of(DATA)["easy"]["by_frame"]
     first = maker(tmp_path).make("idle", split, [])
     (path,) = tmp_path.glob("*.json")
     path.write_text(path.read_text()[:50])
     assert maker(tmp_path).make("idle", split, []).scores == first.scores
-
-
-def test_other_data_makes_another_row(tmp_path: Path) -> None:
-    split = splits_of(DATA)["easy"]["by_frame"]
-    maker(tmp_path).make("idle", split, [])
-    other = replace(DATA, presses=tuple(replace(p, warped=p.measured) for p in DATA.presses))
-    RowMaker(other, no_clipping, brighter, tmp_path).make("idle", split, [])
-    assert len(list(tmp_path.glob("*.json"))) == 2
-
-
-def test_hard_is_made_once_for_both_ways(tmp_path: Path) -> None:
-    hard = splits_of(DATA)["hard"]
-    maker(tmp_path).make("idle", hard["by_frame"], [])
-    maker(tmp_path).make("idle", hard["by_trajectory"], [])
-    assert len(list(tmp_path.glob("*.json"))) == 1
-
-
-def test_epochs_matter_to_networks_alone(tmp_path: Path) -> None:
-    split = splits_of(DATA)["easy"]["by_frame"]
-    maker(tmp_path, network_epochs=1).make("idle", split, [])
-    maker(tmp_path, network_epochs=2).make("idle", split, [])
-    assert len(list(tmp_path.glob("*.json"))) == 1
-
-
-def test_epochs_and_width_are_those_of_published_networks() -> None:
-    settings = FitSettings(network_epochs=2, network_width=64)
-    assert settings.epochs_of("paper") == settings.epochs_of("unet") == 2
-    assert settings.epochs_of("ours") is None
-    assert settings.width_of("paper") == settings.width_of("paper_direct") == 64
-    assert settings.width_of("ours") is None
-    with pytest.raises(ValueError, match="network_epochs is 0, expected 1 or more"):
-        FitSettings(network_epochs=0)
-    with pytest.raises(ValueError, match="seed is -1, expected 0 or more"):
-        FitSettings(seed=-1)
 
 
 def test_taxim_is_fitted_on_the_frames_given(
@@ -288,11 +201,6 @@ def test_taxim_is_fitted_on_the_frames_given(
     assert len(row.scores) == len(split.test)
 
 
-def test_an_unknown_model_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no model 'phong'; known are idle, idle_refined, tacto"):
-        factory_of("phong", FitSettings(), state=tmp_path, progress=print)
-
-
 # Figures and sheets
 
 
@@ -312,31 +220,3 @@ def test_figures_and_sheets(tmp_path: Path) -> None:
     for level in ("easy", "hard"):
         assert (tmp_path / "images" / f"optics_{level}.jpg").stat().st_size > 1000
     json.dumps(figures)
-
-
-def test_a_model_that_fails_is_named(tmp_path: Path) -> None:
-    @dataclass(frozen=True)
-    class Failing(RowMaker):
-        cache: Path = field(default=tmp_path)
-
-        def make(self, model: str, split: OpticalSplit, shown: Any) -> Any:
-            if model == "taxim":
-                raise ValueError("no table")
-            return super().make(model, split, shown)
-
-    split = splits_of(DATA)["easy"]["by_frame"]
-    figures, _ = evaluate_optics(
-        Failing(DATA, no_clipping, brighter), [split], ["taxim", "idle"], sensor="made_up.yaml"
-    )
-    assert list(figures["easy"]["by_frame"]) == ["idle"]
-    assert figures["failures"] == [
-        {"split": "easy", "way": "by_frame", "model": "taxim", "reason": "no table"}
-    ]
-
-
-def test_shown_frames_are_full_depths_of_several_indenters() -> None:
-    split = splits_of(DATA)["hard"]["by_trajectory"]
-    shown = shown_frames(split, PRESSES, seed=0)
-    assert len(shown) == 3
-    assert {frame for _, frame in shown} == {3}
-    assert {PRESSES[name].indenter for name, _ in shown} == {"1_shape", "3_shape"}

@@ -18,7 +18,7 @@ import msg_adapters
 from dotsim_ros.control.loop.bag import read_loop_bag
 from dotsim_ros.control.loop.judge import judge, trial_start
 from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording
-from dotsim_ros.control.loop.report import drawn_places, path_image, trial_report
+from dotsim_ros.control.loop.report import path_image, trial_report
 from dotsim_ros.control.policy.paths import PATHS, DomeContact, reference_path
 from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.data.bag import BAG_TYPES, BagFile
@@ -27,7 +27,6 @@ from dotsim_ros.io.files import parameter_path
 from dotsim_ros.io.page import as_markdown
 from dotsim_ros.io.provenance import provenance
 from dotsim_ros.specification import load_sensor
-from studies.trajectory import trials
 from studies.trajectory.pictures import write_grid
 from studies.trajectory.trials import (
     SETTINGS,
@@ -265,19 +264,6 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path) -> None:
     assert len(asked) == 19
 
 
-def test_a_trial_under_other_parameters_of_the_loop_is_another_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = plan_of()
-    before = plan.file_of(plan.settings[0], "line", 0)
-    assert before == plan.file_of(plan.settings[0], "line", 0)
-    changed = tmp_path / "closed_loop.yaml"
-    text = parameter_path("closed_loop.yaml").read_text()
-    changed.write_text(text.replace("command_lead_s: 0.05", "command_lead_s: 0.0"))
-    monkeypatch.setattr(trials, "parameter_path", lambda name: tmp_path / name)
-    assert before != plan.file_of(plan.settings[0], "line", 0)
-
-
 def test_a_loop_that_does_not_start_is_tried_again_and_then_told(tmp_path: Path) -> None:
     tries = []
 
@@ -297,19 +283,6 @@ def test_a_loop_that_does_not_start_is_tried_again_and_then_told(tmp_path: Path)
 
     with pytest.raises(OSError, match="nobody there"):
         run_trials(plan, broken, LIMITS, tmp_path / "b", progress=lines.append)
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"paths": ("spiral",)}, "no path spiral"),
-        ({"trial_count": 0}, "expected at least one"),
-        ({"seconds": 2.0}, "at least 3 s"),
-    ],
-)
-def test_a_plan_that_cannot_work_is_refused(changes: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
-        replace(plan_of(), **changes)
 
 
 def test_starts_are_near_the_path_and_the_same_for_a_seed() -> None:
@@ -342,17 +315,6 @@ def test_the_shifted_sensor_is_stiffer_darker_and_tilted(tmp_path: Path) -> None
         setting_of("real", tmp_path, trained_on="densetact2")
 
 
-def test_the_stand_in_for_reality_differs_in_its_gel_alone(tmp_path: Path) -> None:
-    made = setting_of("reality", tmp_path, trained_on="densetact2")
-    own, other = load_sensor("sensor_a"), load_sensor(made.sensor)
-    assert other.camera == own.camera
-    assert other.material.prony_shares == (0.17,)
-    assert other.contact.friction_coefficient < 0.5 * own.contact.friction_coefficient
-    thickness_m = [each.gel.outer_radius_m - each.gel.core_radius_m for each in (own, other)]
-    assert thickness_m[1] == pytest.approx(0.896 * thickness_m[0])
-    assert made.grid_spacing_m == own.solver.grid_spacing_m
-
-
 def test_the_figures_are_of_all_trials(tmp_path: Path) -> None:
     plan = plan_of()
     trials = run_trials(
@@ -371,14 +333,6 @@ def test_the_figures_are_of_all_trials(tmp_path: Path) -> None:
     assert "press" in figures["transferred"]["paths"]
     write_grid(tmp_path / "grid.png", trials.recordings)
     assert pixels_of(str(tmp_path / "grid.png")).shape[1] > 500
-
-
-@pytest.mark.parametrize("name", PATHS)
-def test_a_path_is_drawn_along_and_across(name: str) -> None:
-    path = reference_path(name)
-    x, y, _, _ = drawn_places(name, path.position_m)
-    drawn = np.hypot(np.diff(x), np.diff(y)).sum()
-    assert drawn == pytest.approx(1e3 * path.length_m, rel=0.1)
 
 
 def test_the_report_of_a_trial_says_whether_it_kept_the_limits() -> None:

@@ -5,20 +5,15 @@
 
 from __future__ import annotations
 
-import inspect
-
 import numpy as np
 import pytest
 
-from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.gap.presses.evidence import Variant
 from studies.gap.baselines import Left
-from studies.gap.presses import CLOSE, further_sizes, halves
+from studies.gap.presses import halves
 from studies.gap.rates import clustered_rate, rate
 from studies.gap.same_law import SameLaw, same_law_figures
-from studies.gap.study import StudyCase, figures, run_study
-from studies.hidden.laws import FORMULAS_OF_LIBRARY, LAWS, OTHER_LAWS
+from studies.gap.study import StudyCase, figures
 
 NAMES = [f"{kind}_{k}" for kind in ("1_sphere", "2_cone") for k in range(4)]
 
@@ -47,22 +42,6 @@ def test_halves_share_nothing_and_each_has_repeats_of_every_protocol() -> None:
     assert len({halves(NAMES, seed) for seed in range(5)}) > 1
 
 
-@pytest.mark.parametrize("name", ["pose_offset", "coulomb_slip", "latency"])
-def test_further_sizes_reach_the_ends_and_crowd_no_other(name: str) -> None:
-    effect = load_effects()[name]
-    parameter = effect.parameters[0]
-    assert parameter.none is not None
-    variant = Variant(effect, {}, sorted((parameter.none, *parameter.probes)))
-    sizes = further_sizes(variant)
-    every = np.array(sorted((*variant.node, *sizes)))
-    assert every[0] == pytest.approx(parameter.low)
-    assert every[-1] == pytest.approx(parameter.high)
-    away = np.abs(every - parameter.none)
-    for side in (every <= parameter.none, every >= parameter.none):
-        steps = np.diff(np.sort(away[side]))
-        assert np.all(steps > 0.8 * CLOSE * np.sort(away[side])[1:])
-
-
 def test_cases_that_share_presses_count_as_those_that_do_not() -> None:
     outcomes = [True, False, True, True, False, True, True, False, True, True]
     own = [(f"press_{k}",) for k in range(10)]
@@ -88,13 +67,6 @@ def test_where_all_cases_agree_only_draws_without_a_common_press_count() -> None
     # Wilson's of none of 28 / 8.
     assert found["high"] == pytest.approx(1.96**2 / (3.5 + 1.96**2), abs=1e-3)
     assert clustered_rate([], [])["share"] is None
-
-
-def test_no_law_of_the_study_is_the_library_s_own_formula() -> None:
-    assert set(FORMULAS_OF_LIBRARY) < set(LAWS)
-    assert not set(OTHER_LAWS) & set(FORMULAS_OF_LIBRARY)
-    default = inspect.signature(run_study).parameters["laws"].default
-    assert set(default) == set(OTHER_LAWS)
 
 
 def test_an_answer_is_right_if_it_names_all_that_is_hidden_and_nothing_else() -> None:

@@ -5,30 +5,14 @@
 
 from __future__ import annotations
 
-import ast
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import studies.hidden
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.specification import load_sensor
 from studies.hidden.laws import LAWS, LawAnswer, LawMotion
-from studies.hidden.reality import Truth, library_names
-
-FILES = sorted(Path(studies.hidden.__path__[0]).glob("*.py"))
-
-
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_what_makes_hidden_data_imports_nothing_of_the_finder(path: Path) -> None:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom):
-            names = [str(node.module), *(f"{node.module}.{a.name}" for a in node.names)]
-        assert not any(name.startswith("dotsim_ros.gap") for name in names)
 
 
 def test_the_library_has_the_effects_that_laws_say_it_has() -> None:
@@ -62,13 +46,6 @@ def test_a_law_changes_something(name: str) -> None:
         skin, load = law.answer(LawAnswer(moved, force, rest, stamp, 0.0), size)
         changed |= not (np.allclose(skin, moved) and np.allclose(load, force))
     assert changed
-
-
-def test_a_truth_is_told_by_its_hash() -> None:
-    truth = Truth((("slippery", 0.4),))
-    assert truth.digest() == Truth((("slippery", 0.4),)).digest()
-    assert truth.digest() != Truth((("slippery", 0.5),)).digest()
-    assert library_names(Truth((("crosstalk", 0.1),))) == {""}
 
 
 def test_a_mounting_offset_is_the_unit_s_and_not_each_trajectory_s() -> None:

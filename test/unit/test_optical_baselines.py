@@ -20,7 +20,6 @@ from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.twin.footage import OpticalPress, Rest
 from studies.rivals.clipping import clip_depths, clipped_skin
 from studies.rivals.optics import per_pixel, tacto, taxim
-from studies.rivals.optics.clipped import clipped_press
 from studies.rivals.optics.pixels import (
     pixel_grid,
     relative_normal,
@@ -110,12 +109,6 @@ def idle_error(press: OpticalPress) -> float:
     return error(np.broadcast_to(REST.idle, press.measured.shape), press)
 
 
-def test_the_gel_at_rest_is_flat() -> None:
-    seen = seen_region(REST)
-    relative = relative_normal(REST.normal[seen], REST.normal[seen])
-    assert relative == pytest.approx(np.tile([0.0, 0.0, -1.0], (len(relative), 1)), abs=1e-5)
-
-
 def test_turning_to_the_flat_gel_keeps_angles() -> None:
     seen = seen_region(REST)
     rest, normal = REST.normal[seen], TRAIN[0].normal[-1][seen]
@@ -149,14 +142,6 @@ def test_a_network_is_the_same_for_one_seed() -> None:
     )
     assert np.array_equal(first[0][0], again[0][0])
     assert not np.array_equal(first[0][0], other[0][0])
-
-
-def test_taxim_fills_what_no_pixel_fell_into() -> None:
-    model = taxim.fit([coloured(press) for press in TRAIN[:1]], REST, CAMERA)
-    assert model.bins == taxim.PUBLISHED_BINS
-    upright = model.table.reshape(model.bins, model.bins, taxim.TERMS, 3)[-1]
-    assert np.isfinite(upright).all()
-    assert np.abs(upright[:, 0]).max() > 0.0
 
 
 def shone(press: OpticalPress, light: tacto.PhongLight, intensity: FloatArray) -> OpticalPress:
@@ -213,41 +198,9 @@ def test_on_the_warped_image_only_the_rest_is_learned(
         assert error(model.predict(press, REST), press) < 0.5 * error(press.warped, press)
 
 
-@pytest.mark.parametrize("kind", ["taxim", "tacto"])
-def test_rest_is_the_idle_image(kind: str) -> None:
-    train = [coloured(press) for press in TRAIN]
-    untouched = replace(
-        TRAIN[0], depth_m=REST.depth_m[None], normal=REST.normal[None], measured=REST.idle[None]
-    )
-    if kind == "tacto":
-        light = tacto.PhongLight(0.010, 0.0, (0.0, 2.0, 4.0), 8.0)
-        images = tacto.TactoImage(light, np.full((6, 3), 0.2), CAMERA).predict(untouched, REST)
-        assert np.array_equal(images[0], REST.idle)
-    else:
-        images = taxim.fit(train, REST, CAMERA).predict(untouched, REST)
-        assert np.abs(images[0].astype(int) - REST.idle).max() <= 3
-
-
 def test_light_behind_the_surface_lights_nothing() -> None:
     surface = tacto.Surface(np.array([[0.0, 0.0, 0.01]]), np.array([[0.0, 0.0, -1.0]]))
     behind = tacto.PhongLight(0.005, 0.02, (0.0, 2.0, 4.0), 2.0)
     before = tacto.PhongLight(0.005, 0.0, (0.0, 2.0, 4.0), 2.0)
     assert np.all(behind.basis(surface) == 0.0)
     assert np.all(before.basis(surface) > 0.0)
-
-
-def test_clipped_presses_show_the_indenter() -> None:
-    direction = np.array([0.0, 0.0, 1.0])
-    idle = replace(TRAIN[0], depth_m=np.full((4, 72, 96), np.nan, dtype=np.float32))
-    press = clipped_press(idle, poses(direction), BALL, RENDERER)
-    middle = press.depth_m[:, 35:37, 47:49].mean(axis=(1, 2))
-    assert middle == pytest.approx(RADIUS_M - 0.0025 - np.array(DEPTHS_M), abs=1e-4)
-    with pytest.raises(ValueError, match="press_0: 3 poses and 4 images"):
-        clipped_press(idle, poses(direction)[:3], BALL, RENDERER)
-
-
-def test_nothing_to_fit_on_is_refused() -> None:
-    with pytest.raises(ValueError, match="no frame to fit on"):
-        taxim.fit([], REST, CAMERA)
-    with pytest.raises(ValueError, match="no frame to fit on"):
-        tacto.fit([], REST, CAMERA)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from studies.optics.split import LEVELS, WAYS, OpticalSplit, optical_splits
+from studies.optics.split import LEVELS, WAYS, optical_splits
 
 
 @dataclass(frozen=True)
@@ -61,14 +61,6 @@ def test_trajectories_stay_whole(level: str) -> None:
     assert not {name for name, _ in split.train} & {name for name, _ in split.test}
 
 
-def test_a_fifth_is_judged() -> None:
-    splits = optical_splits(RECORDINGS)
-    by_frame: OpticalSplit = splits["medium"]["by_frame"]
-    assert len(by_frame.test) == pytest.approx(0.2 * len(FRAMES), abs=1)
-    by_trajectory = splits["medium"]["by_trajectory"]
-    assert len({name for name, _ in by_trajectory.test}) == 5
-
-
 def test_neighbours_of_judged_frames_are_fitted_on_by_frame() -> None:
     split = optical_splits(RECORDINGS)["medium"]["by_frame"]
     train = set(split.train)
@@ -76,27 +68,6 @@ def test_neighbours_of_judged_frames_are_fitted_on_by_frame() -> None:
     assert sum(beside) > 0.8 * len(beside)
 
 
-def test_hard_is_the_same_both_ways() -> None:
-    hard = optical_splits(RECORDINGS)["hard"]
-    assert hard["by_frame"].train == hard["by_trajectory"].train
-    assert hard["by_frame"].test == hard["by_trajectory"].test
-
-
-def test_draws_depend_on_the_seed_alone() -> None:
-    assert optical_splits(reversed(RECORDINGS), seed=3) == optical_splits(RECORDINGS, seed=3)
-    assert optical_splits(RECORDINGS, seed=3) != optical_splits(RECORDINGS, seed=4)
-
-
 def test_a_longer_trajectory_of_another_level_changes_no_draw() -> None:
     more = [*RECORDINGS, Recording("2_shape_9", "2_shape", 5)]
     assert optical_splits(more)["easy"] == optical_splits(RECORDINGS)["easy"]
-
-
-def test_too_few_indenters_are_refused() -> None:
-    with pytest.raises(ValueError, match="three are needed at least; got 1_shape, 2_shape"):
-        optical_splits([r for r in RECORDINGS if r.indenter[0] in "12"])
-
-
-def test_a_name_twice_is_refused() -> None:
-    with pytest.raises(ValueError, match="1_shape_0 twice"):
-        optical_splits([*RECORDINGS, RECORDINGS[0]])

@@ -19,9 +19,6 @@ from typing import Any
 
 import pytest
 import setuptools
-import yaml
-
-import dotsim_ros
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("dotsim_ros", "msg_adapters")
@@ -179,25 +176,6 @@ def passed_names(node: str) -> set[Any]:
     }
 
 
-def test_version_is_the_same_everywhere() -> None:
-    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
-    assert manifest.findtext("version") == dotsim_ros.__version__
-
-
-def test_maintainer_and_home_are_the_same_for_pip_and_ros() -> None:
-    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
-    maintainer = manifest.find("maintainer")
-    assert maintainer is not None
-    assert maintainer.text == setup_keyword("maintainer")
-    assert maintainer.get("email") == setup_keyword("maintainer_email")
-    homes = {url.get("type"): url.text for url in manifest.iter("url")}
-    assert homes == {
-        "website": setup_keyword("url"),
-        "repository": setup_keyword("project_urls")["Repository"],
-        "bugtracker": setup_keyword("project_urls")["Bug Tracker"],
-    }
-
-
 def test_every_executable_has_its_function() -> None:
     for name, target in executables().items():
         module, function = target.split(":")
@@ -256,34 +234,6 @@ def test_pip_and_rosdep_know_the_same_requirements() -> None:
     assert {ROS_KEYS.get(name, name) for name in needed} == keys
 
 
-def test_rosdep_file_defines_only_what_the_manifest_uses() -> None:
-    defined = set(yaml.safe_load((ROOT / "rosdep.yaml").read_text()))
-    assert defined <= ros_depends("exec_depend") | ros_depends("test_depend")
-
-
-def test_there_is_a_launch_file() -> None:
-    names = [path.name for path in LAUNCH_FILES]
-    assert names == [
-        "closed_loop.launch.py",
-        "gazebo.launch.py",
-        "gripper.launch.py",
-        "mujoco_ros2_control.launch.py",
-        "tactile_sim.launch.py",
-    ]
-
-
-@each_launch_file
-def test_launch_file_compiles_and_describes_without_arguments(path: Path) -> None:
-    compile(path.read_text(), str(path), "exec")
-    described = [
-        found
-        for found in tree_of(path).body
-        if isinstance(found, ast.FunctionDef) and found.name == "generate_launch_description"
-    ]
-    assert len(described) == 1
-    assert not ast.unparse(described[0].args)
-
-
 @pytest.mark.parametrize("path", [*LAUNCH_FILES, LAUNCH_ARGUMENTS], ids=lambda path: path.name)
 def test_launch_file_uses_only_what_launch_documents(path: Path) -> None:
     tree = tree_of(path)
@@ -328,13 +278,6 @@ def test_remapped_topics_are_those_of_the_node(path: Path) -> None:
             # Of several nodes in one process a rule names one.
             which, _, topic = ast.literal_eval(rule.elts[0]).rpartition(":")
             assert topic in passed_names(which or ast.literal_eval(node["executable"])), topic
-
-
-@each_launch_file
-def test_launch_arguments_are_described(path: Path) -> None:
-    for source in (path, LAUNCH_ARGUMENTS):
-        for call in calls(tree_of(source), "DeclareLaunchArgument"):
-            assert {"default_value", "description"} <= set(keywords(call)), ast.unparse(call)
 
 
 @each_launch_file

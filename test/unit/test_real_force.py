@@ -5,19 +5,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from dotsim_ros.data.importers.ecoflex_compression import HEIGHT_M, RADIUS_M, CompressionTest
 from dotsim_ros.data.importers.force_depth import ForceDepth
 from dotsim_ros.gel.material import NeoHookean
-from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.twin.force_control import ForceNotReachedError, pose_at_force
-from studies.real import pad
+from dotsim_ros.twin.force_control import pose_at_force
 from studies.real.causes import all_explained
 from studies.real.cylinders import SHARE, chosen_law, fitted, slipping
 from studies.real.inference import Prior, each_left_out, weighted_draws
@@ -40,13 +35,6 @@ def test_the_depth_of_a_force_is_found_from_outside_and_from_inside(start_m: flo
     assert found.force_n == pytest.approx(5.0, rel=1e-3)
     np.testing.assert_allclose(found.pose.position_m, [0.001, 0.0, 0.003], atol=2e-6)
     assert found.trials < 40
-
-
-def test_a_force_that_is_not_reached_is_said() -> None:
-    with pytest.raises(ForceNotReachedError, match="check that the force is in newtons"):
-        pose_at_force(lambda _: np.zeros(3), Pose(np.array([0.0, 0.0, 0.005])), 5.0)
-    with pytest.raises(ValueError, match="expected one above 0"):
-        pose_at_force(pushed, Pose(), 0.0)
 
 
 def cylinder_test(specimen: str, repeat: int, c10_pa: float, c20_pa: float) -> CompressionTest:
@@ -117,21 +105,3 @@ def test_what_is_hidden_in_a_press_is_among_its_explanations() -> None:
     assert "slip of the ball" in holding
     assert "the makers' model" not in holding
     assert len(holding) > 1  # three depths do not name one cause
-
-
-def test_a_press_of_the_pad_is_solved_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    solver = replace(pad.SENSOR.solver, grid_spacing_m=0.002, refined=False)
-    monkeypatch.setattr(pad, "SENSOR", replace(pad.SENSOR, solver=solver))
-    poses, state = pad.poses_at(np.array([0.2e-3])), pad.PadState(friction=0.3)
-    solved_n = pad.PadSolves(tmp_path / "run").force_n(state, sphere(0.0075), poses)
-    assert solved_n[0, 2] == 0.0 < solved_n[1, 2]
-    another = pad.PadSolves(tmp_path / "run")
-    monkeypatch.delattr(pad.GelSimulator, "press")
-    np.testing.assert_array_equal(another.force_n(state, sphere(0.0075), poses), solved_n)
-    for changed in (
-        (pad.PadState(friction=0.4), sphere(0.0075), poses),
-        (state, sphere(0.0074), poses),
-        (state, sphere(0.0075), poses[1:]),
-    ):
-        with pytest.raises(AttributeError, match="press"):
-            another.force_n(*changed)

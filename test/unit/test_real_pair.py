@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -23,7 +22,6 @@ from studies.optics.real_pair import (
     RealPair,
     evaluate_real_pair,
     pattern_likeness,
-    read_real_pair,
 )
 
 PX = 96
@@ -104,17 +102,3 @@ def test_the_place_of_change_is_where_the_image_changes() -> None:
     cv2.circle(pressed, (round(float(column)), round(float(row))), 5, (250, 250, 250), -1)
     found = real_pair.place_of_change(pair_of(pressed), search.camera, SENSOR.gel.outer_radius_m)
     assert found == pytest.approx((x, y), abs=0.05)
-
-
-def test_bad_pairs_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"expected idle\.png, pressed\.png and"):
-        read_real_pair(tmp_path)
-    cv2.imwrite(str(tmp_path / "idle.png"), pattern())
-    cv2.imwrite(str(tmp_path / "pressed.png"), pattern()[1:])
-    cv2.imwrite(str(tmp_path / "mask.png"), 255 * disc_mask().astype(np.uint8))
-    with pytest.raises(ValueError, match=r"idle\.png has shape \(96, 96, 3\), pressed\.png \(95"):
-        read_real_pair(tmp_path)
-    cv2.imwrite(str(tmp_path / "pressed.png"), pattern())
-    read = read_real_pair(tmp_path)
-    assert np.array_equal(read.mask, disc_mask())
-    assert np.array_equal(read.idle, pattern()[..., ::-1])

@@ -25,7 +25,6 @@ from dotsim_ros.specification import (
 from studies.reference.axisymmetric import (
     AxisymmetricDeck,
     AxisymmetricSettings,
-    disc_section,
     dome_section,
 )
 from studies.reference.data_set import read_solved_presses
@@ -34,7 +33,6 @@ from studies.reference.mesh import (
     MeshedPress,
     dome_mesh,
     interpolate_skin,
-    pressed_place,
 )
 from studies.reference.press import (
     ReferencePress,
@@ -116,21 +114,6 @@ def test_elements_fill_the_shell_without_gaps():
     assert on_skin.sum() == len(mesh.skin_element)
 
 
-def test_core_and_base_are_bonded_and_nothing_else():
-    mesh = _mesh(20.0)
-    free = np.setdiff1d(np.arange(len(mesh.node_m)), mesh.bonded)
-    assert mesh.node_m[free, 2].min() > 1e-6
-    assert np.linalg.norm(mesh.node_m[free], axis=1).min() > CORE_M + 1e-6
-
-
-def test_elements_are_as_fine_as_asked_for_where_the_dome_is_pressed():
-    mesh = _mesh(20.0, spacing_m=0.8e-3)
-    corner = mesh.node_m[mesh.skin_face[:, :4]]
-    away = np.linalg.norm(corner.mean(axis=1) - OUTER_M * _pole(20.0), axis=1)
-    edge = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    assert edge[away < 2e-3].max() < 0.8e-3
-
-
 def _pole(tilt_deg):
     return Site(tilt_rad=np.deg2rad(tilt_deg), azimuth_rad=0.7).direction()
 
@@ -142,22 +125,6 @@ def test_interpolation_reproduces_a_quadratic_field_of_the_skin():
     np.testing.assert_allclose(at.weight.sum(axis=1), 1.0, atol=1e-12)
     near = np.linalg.norm(points - OUTER_M * _pole(20.0), axis=1) < 4e-3
     assert np.abs(at.of(mesh.node_m) - points)[near].max() < 2e-6
-
-
-def test_a_shell_without_core_is_refused():
-    with pytest.raises(ValueError, match="rigid core"):
-        dome_mesh(
-            core_radius_m=0.0,
-            outer_radius_m=OUTER_M,
-            press=MeshedPress(np.array([0.0, 0.0, 1.0]), 3e-3),
-            spacing_m=1e-3,
-        )
-
-
-def test_a_pose_off_the_skin_is_refused():
-    skin = dome_skin(OUTER_M, 1e-3).rest_position_m
-    with pytest.raises(ValueError, match="none of the poses"):
-        pressed_place(skin, sphere(4e-3), [Site().pose(-2e-3)])
 
 
 @pytest.mark.parametrize("name", INDENTERS)
@@ -207,12 +174,6 @@ def test_laws_have_their_own_cards():
     np.testing.assert_allclose([float(entry) for entry in mooney.split(",")], [0.04, 0.01, 0.4])
 
 
-def test_frictionless_contact_has_no_friction_card():
-    law = NeoHookean(3e5, 0.48)
-    assert "*FRICTION" not in _deck(law, friction=0.0).text()
-    assert _block(_deck(law, friction=0.3).text(), "*FRICTION").startswith("3.0")
-
-
 def test_press_ends_with_a_drag_along_the_indenter():
     site = Site(tilt_rad=0.5)
     poses = press_poses(site, depth_m=1e-3, frame_count=4, shear_m=0.6e-3)
@@ -220,24 +181,6 @@ def test_press_ends_with_a_drag_along_the_indenter():
     moved = poses[-1].position_m - poses[4].position_m
     np.testing.assert_allclose(moved, 0.6e-3 * poses[4].rotation()[:, 0], atol=1e-12)
     assert np.all(np.diff(stamps_ns(poses)) > 0)
-
-
-def test_drag_begins_with_smaller_increments():
-    press, drag = StepControl(first=0.5), StepControl(first=0.125)
-    settings = ReferenceSettings(spacing_m=2.4e-3, control=press, drag_control=drag)
-    poses = press_poses(Site(tilt_rad=0.5), depth_m=1e-3, frame_count=1, shear_m=0.2e-3)
-    skin = dome_skin(OUTER_M, 1e-3)
-    deck = reference_deck(load_sensor("densetact2"), skin, sphere(4e-3), poses, settings)
-    assert deck.controls == [press, drag]
-    lines = deck.text().splitlines()
-    first = [lines[k + 1].split(",")[0] for k, line in enumerate(lines) if line == "*STATIC"]
-    assert first == ["0.5", "0.125"]
-
-
-def test_step_without_control_is_refused():
-    deck = _deck(NeoHookean(3e5, 0.48))
-    with pytest.raises(ValueError, match="0 step controls for 2 poses"):
-        Deck(deck.gel, deck.surface, deck.poses, deck.law, deck.contact, [])
 
 
 def test_surface_lies_where_the_gels_contact_begins():
@@ -253,19 +196,6 @@ def test_missing_calculix_is_reported_with_the_way_to_install_it(monkeypatch, tm
     with pytest.raises(CalculixMissingError, match="apt-get install calculix-ccx"):
         reference_presses(out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"depth_mm": float("nan")}, "depth_mm is nan, expected a positive number"),
-        ({"spacing_mm": 0.0}, "spacing_mm is 0, expected a positive number"),
-        ({"tilts_deg": (10.0, 50.0)}, "tilts_deg has 50, expected 0 to 40"),
-    ],
-)
-def test_values_out_of_range_are_refused(given, words, tmp_path):
-    with pytest.raises(ValueError, match=words):
-        reference_presses(out=tmp_path / "out", **given)
 
 
 @needs_calculix
@@ -307,15 +237,6 @@ def test_half_section_is_filled_without_gaps():
     assert (np.diff(line[:, 0]) > 0.0).all()
 
 
-def test_the_half_section_of_a_pad_is_held_at_its_base_alone():
-    section = disc_section(0.010, 0.004, AxisymmetricSettings(spacing_m=0.8e-3))
-    assert section.node_m[section.bonded][:, 1].max() == pytest.approx(0.0, abs=1e-12)
-    assert section.node_m[section.bonded][:, 0].max() == pytest.approx(0.010)
-    np.testing.assert_allclose(section.node_m[section.skin_node][:, 1], 0.004)
-    with pytest.raises(ValueError, match="expected more than"):
-        disc_section(0.004, 0.004, AxisymmetricSettings(reach_m=0.0045))
-
-
 @pytest.mark.parametrize("name", ["sphere_4mm", "cone", "flat_punch", "torus"])
 def test_meridian_lies_where_contact_begins_all_around(name):
     deck = _section_deck(name)
@@ -327,24 +248,6 @@ def test_meridian_lies_where_contact_begins_all_around(name):
     assert np.abs(distance - EARLY_M).max() < 2e-6
     # The tip is there, on the axis or around it.
     assert line[:, 1].min() < -EARLY_M + 1e-6
-
-
-@pytest.mark.parametrize("name", ["lying_cylinder", "box_edge"])
-def test_indenter_of_no_revolution_is_refused_in_two_dimensions(name):
-    with pytest.raises(ValueError, match="no upright body of revolution"):
-        _section_deck(name)
-
-
-def test_tilt_is_refused_in_two_dimensions():
-    with pytest.raises(ValueError, match=r"20 degrees .* not axisymmetric"):
-        ReferencePress(
-            load_sensor("densetact2"),
-            sphere(4e-3),
-            1e-3,
-            1,
-            tilt_deg=20.0,
-            settings=AxisymmetricSettings(),
-        )
 
 
 @needs_calculix
@@ -406,19 +309,6 @@ def test_solved_press_is_a_data_set(reference):
 
 
 @needs_calculix
-def test_solved_skin_follows_the_indenter(reference):
-    _, out = reference
-    data_set = read_data_set(out)
-    trajectory = data_set.entries[0].read()
-    pose = trajectory.pose.poses()[1]
-    skin = trajectory.skin.position_m[1].astype(np.float64)
-    local = (skin - pose.position_m) @ pose.rotation()
-    assert sphere(4e-3).signed_distance(local).min() > -0.1e-3
-    moved = np.linalg.norm(skin - data_set.skin_mesh().rest_position_m, axis=1)
-    assert 0.4e-3 < moved.max() < 0.55e-3
-
-
-@needs_calculix
 def test_solved_force_is_that_of_a_press_along_the_normal(reference):
     _, out = reference
     trajectory = read_data_set(out).entries[0].read()
@@ -433,14 +323,6 @@ def test_solved_force_is_that_of_a_press_along_the_normal(reference):
 
 
 @needs_calculix
-def test_solved_trajectory_is_not_solved_again(reference, capsys):
-    asked, out = reference
-    assert reference_presses(**asked)["frames"] == []
-    assert "there already" in capsys.readouterr().out
-    assert len(read_data_set(out).entries) == 1
-
-
-@needs_calculix
 def test_solved_press_says_what_it_was_solved_for(reference):
     _, out = reference
     skin, (press,) = read_solved_presses(out)
@@ -452,13 +334,6 @@ def test_solved_press_says_what_it_was_solved_for(reference):
     assert press.notes["press"]["tilt_deg"] == 25.0
     assert press.trajectory.skin.position_m.shape == (2, skin.vertex_count, 3)
     np.testing.assert_allclose(press.indenter.signed_distance([[0.0, 0.0, -1e-3]]), 1e-3, atol=1e-6)
-
-
-def test_measured_data_is_no_reference(tmp_path):
-    (tmp_path / "bags" / "press").mkdir(parents=True)
-    (tmp_path / "dataset.yaml").write_text("trajectories: [{bag: bags/press}]")
-    with pytest.raises(ValueError, match="press names no sensor that it was solved for"):
-        read_solved_presses(tmp_path)
 
 
 @needs_calculix

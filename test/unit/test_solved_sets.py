@@ -50,7 +50,6 @@ from studies.hidden.solved_draw import (
     LAWS,
     NULL,
     SINGLE,
-    commissioning_unit,
     draw_series,
 )
 from studies.hidden.solved_sets import SeriesPlan, make_sets, read_series
@@ -83,24 +82,6 @@ def test_a_series_has_the_composition_and_each_effect_lies_in_both_halves() -> N
     assert len({unit.name for unit in units}) == 32
 
 
-def test_any_beginning_of_a_series_is_balanced() -> None:
-    units = draw_series(SENSOR, 32, 8)
-    for end in range(8, 33):
-        found = Counter(unit.kind for unit in units[:end])
-        for kind, weight in COMPOSITION.items():
-            assert abs(found[kind] - weight * end / 32) < 1.7, (end, kind)
-
-
-def test_a_series_of_another_length_has_the_same_shares() -> None:
-    for count in (1, 5, 30):
-        found = Counter(unit.kind for unit in draw_series(SENSOR, count, 0))
-        assert sum(found.values()) == count
-        for kind, weight in COMPOSITION.items():
-            assert abs(found[kind] - weight * count / 32) < 1.0
-    with pytest.raises(ValueError, match="expected at least one"):
-        draw_series(SENSOR, 0, 0)
-
-
 def test_units_are_within_what_is_declared_and_decoys_nearly_out_of_it() -> None:
     for unit in draw_series(SENSOR, 64, 1):
         own = unit.constants
@@ -116,21 +97,6 @@ def test_units_are_within_what_is_declared_and_decoys_nearly_out_of_it() -> None
         for name, deviation in deviations.items():
             low, high = (0.99, 1.51) if name in unit.decoys else (0.0, 1.01)
             assert low <= abs(deviation) <= high, (unit.name, name)
-
-
-def test_the_commissioning_is_the_unit_as_declared() -> None:
-    unit = commissioning_unit(SENSOR, 3, 0)
-    own = unit.constants
-    assert (own.thickness_share, own.clock_s, own.force_gain) == (0.0, 0.0, 1.0)
-    assert own.friction == pytest.approx(SENSOR.contact.friction_coefficient)
-    assert own.youngs_modulus_pa == pytest.approx(1.8642e5, rel=1e-3)
-    assert not unit.effects
-    assert not unit.decoys
-    assert unit.seed not in {drawn.seed for drawn in draw_series(SENSOR, 64, 3)}
-    other = commissioning_unit(SENSOR, 3, 1).constants
-    assert other.spacing_m != own.spacing_m
-    mesh = {"spacing_m": own.spacing_m, "contact_stiffness": own.contact_stiffness}
-    assert replace(other, **mesh) == own
 
 
 def test_a_seed_draws_the_same_again_and_another_one_something_else() -> None:
@@ -248,16 +214,6 @@ def test_ogden_s_stiffening_is_that_of_yeoh_s_at_the_strain_of_a_press() -> None
 
 
 @needs_calculix
-def test_what_is_wrong_in_pairs_is_solved_together() -> None:
-    pair = {"branches": (MaxwellBranch(0.2, 0.6),), "stiffening": OgdenStiffening.like(0.4)}
-    # What the base takes is taken before the hold.
-    alone, with_base = _deck(hold_s=0.5, **pair), _deck(base_compliance_m_n=1e-4, **pair)
-    fast, slow = _force_n(alone)
-    assert slow < 0.95 * fast
-    assert _force_n(with_base)[0] < 0.97 * fast
-
-
-@needs_calculix
 def test_a_base_that_gives_way_takes_depth_in_proportion_to_the_force(plain_n: float) -> None:
     compliance_m_n = 1.0e-4
     given = _force_n(_deck(base_compliance_m_n=compliance_m_n))[0]
@@ -279,20 +235,6 @@ def test_a_stiff_part_is_stiffer_and_a_core_that_slips_softer(plain_n: float) ->
     assert _force_n(replace(deck, slipping=slipping))[0] < 0.99 * plain_n
 
 
-def test_what_cannot_be_solved_together_is_refused() -> None:
-    deck, branch = _deck(), MaxwellBranch(0.5, 1.0)
-    with pytest.raises(ValueError, match="shares below 1"):
-        replace(deck, branches=(branch, branch))
-    with pytest.raises(ValueError, match="slips on a base"):
-        replace(deck, slipping=np.array([1]), base_compliance_m_n=1e-5)
-    with pytest.raises(ValueError, match="stiff part"):
-        replace(deck, stiff=StiffPart(np.array([0]), 2.0), branches=(branch,))
-    with pytest.raises(ValueError, match="step durations"):
-        replace(deck, duration_s=())
-    with pytest.raises(ValueError, match="share"):
-        OgdenStiffening.like(3.0)
-
-
 def _thinned(sensor: SensorSpecification, random: np.random.Generator) -> list[Protocol]:
     """Return the protocols with the first, a middle and the last frame of each press."""
     return [
@@ -308,13 +250,6 @@ def small_series() -> Iterator[None]:
         patch.setattr(solved_sets, "protocols", _thinned)
         patch.setattr(solved_sets, "COMMISSIONED", COMMISSIONED)
         yield
-
-
-def test_presses_have_six_frames() -> None:
-    planned = protocols(SENSOR, np.random.default_rng(0))
-    presses = [one for one in planned if one.name.startswith("press")]
-    assert len(presses) == 4
-    assert all(one.time_s.shape == (6,) for one in presses)
 
 
 def _hide(out: Path, *, seed: int = 6, retry: bool = False) -> dict[str, Any]:

@@ -34,17 +34,6 @@ def test_a_touch_is_seen_alike_wherever_it_lies() -> None:
     assert np.mean(seen[0, 3] > 0.5) == pytest.approx(np.pi * (15.5 / 60.0) ** 2, rel=0.1)
 
 
-def test_light_on_the_whole_image_is_not_seen() -> None:
-    plain = disc(60, 50)
-    brighter = np.asarray(plain + np.uint8(9))
-    seen = touched_as_taken(np.stack([plain, brighter]), IDLE, SETTINGS)
-    assert np.array_equal(seen[0], seen[1])
-
-
-def test_an_untouched_image_shows_nothing() -> None:
-    assert not touched_as_taken(IDLE[None], IDLE, SETTINGS).any()
-
-
 def test_shapes_are_told_apart_at_new_places_and_turns() -> None:
     torch.set_num_threads(1)
     random = np.random.default_rng(0)
