@@ -51,9 +51,8 @@ from dotsim_ros.gap.images.fit import ImageSearch, mean_squares, without_effects
 from dotsim_ros.gap.images.null import fit_optical_null, load_optical_null, save_optical_null
 from dotsim_ros.gap.images.reading import check_same_unit, pattern_likeness
 from dotsim_ros.gap.images.search import signatures_of
-from dotsim_ros.gap.report.sections import page_of
+from dotsim_ros.gap.report.page import report_files
 from dotsim_ros.gap.report.wording import optical_sentence
-from dotsim_ros.io.page import as_markdown
 
 LIBRARY = load_effects()
 EFFECTS = [LIBRARY[name] for name in CHOSEN]
@@ -341,11 +340,17 @@ def test_a_reference_tells_the_scatter_of_effects_that_the_file_does_not_know(nu
     assert searches[1].threshold > searches[0].threshold
 
 
+def markdown_of(findings):
+    """Return the report without what is drawn of skin and force: an image takes a second."""
+    findings = replace(findings, worst=None, places=(), gaps=())
+    return report_files(findings, {}, LIBRARY)["report.md"].decode()
+
+
 def test_effects_that_were_not_tried_are_in_the_report_and_the_record():
     found = replace(optical(Verdict.NO_GAP), not_tried=("my_tint",))
     both = combined(no_gap(), found)
     assert findings_of(as_record(both)) == both
-    text = as_markdown(page_of(both, {}, LIBRARY))
+    text = markdown_of(both)
     assert "## Not tried" in text
     assert "my_tint" in text
     assert "--fit-optical-noise" in text
@@ -478,7 +483,7 @@ def test_findings_with_images_come_back_from_their_record(verdict):
 
 def test_the_report_keeps_the_parts_apart(tmp_path: Path):
     both = combined(named(), optical(Verdict.NAMED))
-    text = as_markdown(page_of(both, {}, LIBRARY))
+    text = markdown_of(both)
     assert "## Images" in text
     assert "1. Vignetting (vignetting), added" in text
     assert "Share of the images' gap closed, in expected deviations of all tiles: 97 %" in text
@@ -486,7 +491,7 @@ def test_the_report_keeps_the_parts_apart(tmp_path: Path):
     assert "1. Coulomb slip at another friction (coulomb_slip), added" in text
     # What no image excites stands next to what no press does.
     assert "| Motion blur |" in text
-    refused = as_markdown(page_of(combined(no_gap(), optical(Verdict.UNUSABLE)), {}, LIBRARY))
+    refused = markdown_of(combined(no_gap(), optical(Verdict.UNUSABLE)))
     assert "Images: unusable." in refused
     assert "Images: candidates by rank" not in refused
 
