@@ -264,16 +264,16 @@ def _indenter_name(value: Any, place: str) -> str:
     return str(value)
 
 
-def read_data_set(directory: str | Path) -> DataSet:
-    """Read the index of a data set.
-
-    Args:
-        directory: the folder that holds dataset.yaml.
+def read_data_set(directory: str | Path | DataSet) -> DataSet:
+    """Read the index, dataset.yaml, of a data set's folder; bags are read when asked. A data set is
+    returned as it is.
 
     Raises:
         FileNotFoundError: no index there, or a bag that it names is not.
         ValueError: the index is no YAML, or not of the documented form.
     """
+    if isinstance(directory, DataSet):
+        return directory
     directory = expanded(directory)
     index = directory / INDEX
     if not index.is_file():

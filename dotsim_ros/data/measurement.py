@@ -46,7 +46,9 @@ class Measurement:
     digest: str
 
 
-def holds_skin_or_force(directory: str | Path, *, topics: Topics = MEASURED_TOPICS) -> bool:
+def holds_skin_or_force(
+    directory: str | Path | DataSet, *, topics: Topics = MEASURED_TOPICS
+) -> bool:
     """Return whether a bag of a data set holds the skin or the force; a bag that cannot be read
     counts as one that does, so that reading it tells what is wrong.
 
@@ -65,7 +67,7 @@ def holds_skin_or_force(directory: str | Path, *, topics: Topics = MEASURED_TOPI
 
 
 def read_measurement(
-    directory: str | Path,
+    directory: str | Path | DataSet,
     *,
     own_skin: SkinMesh,
     indenters: str | Path | None = None,

@@ -148,15 +148,6 @@ def test_a_gel_that_softens_is_named_and_closes_the_gap(tmp_path: Path, run: Pat
     assert overlay.effects[0].name == "mullins_softening"
 
 
-def test_a_gel_that_softens_more_than_any_does_is_unknown(tmp_path: Path, run: Path) -> None:
-    findings, overlay = searched(tmp_path, run, ("softened", 0.6))
-    assert findings.verdict is Verdict.UNKNOWN
-    assert overlay is None
-    assert "Mullins softening, but the data ask for share = 0." in findings.sentence.replace(
-        "mullins", "Mullins"
-    )
-
-
 def test_crosstalk_that_no_effect_imitates_is_unknown(tmp_path: Path, run: Path) -> None:
     findings, overlay = searched(tmp_path, run, ("crosstalk", 0.5))
     assert findings.verdict is Verdict.UNKNOWN

@@ -5,7 +5,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from optical_films import (
@@ -101,24 +100,6 @@ def test_the_estimated_noise_is_that_which_was_drawn(noise):
     assert np.median(white) == pytest.approx(0.6, abs=0.2)
 
 
-def test_whitening_leaves_unit_covariance():
-    true, random = truth(), np.random.default_rng(11)
-    draws = np.stack([drawn(CHANGES[0], random) for _ in range(400)], axis=-1)
-    white = true.whiten(draws, CHANGES[0])
-    covariance = white @ white.T / draws.shape[-1]
-    assert np.diag(covariance).mean() == pytest.approx(1.0, abs=0.02)
-    off = covariance - np.diag(np.diag(covariance))
-    # What 400 draws leave of nothing.
-    assert np.sqrt(np.mean(off**2)) == pytest.approx(1.0 / np.sqrt(400), rel=0.1)
-
-
-def test_noise_takes_several_trajectories(noise):
-    with pytest.raises(ValueError, match="3 trajectories are too few to estimate a model's error"):
-        estimate_noise(
-            [np.ones((2, 3, 6))] * 3, [np.ones((2, 3, 6))] * 3, np.ones((3, 6)), np.ones((3, 2))
-        )
-
-
 def largest(scores):
     return max(score.statistic for score in scores)
 
@@ -149,7 +130,7 @@ def test_an_error_that_the_model_repeats_is_no_effect(references, signatures, no
     spurious = reference.spurious_variances(wrong)
     aware = OpticalSearch(signatures, told, nuisances, CHANGES, spurious)
     unaware = OpticalSearch(signatures, told, nuisances, CHANGES)
-    draws = [erring(FILMS, null_residual(seed)) for seed in range(20)]
+    draws = [erring(FILMS, null_residual(seed)) for seed in range(10)]
     threshold = aware.threshold(0.02)
     false = [one for one in draws if largest(aware.score(one)) > threshold]
     fooled = [one for one in draws if largest(unaware.score(one)) > threshold]
@@ -175,18 +156,10 @@ def test_null_draws_are_those_of_whole_residuals(signatures, nuisances):
     # So many trajectories that Student's distribution is normal.
     known = replace(truth(), trajectory_count=10**6)
     search = OpticalSearch(signatures, known, nuisances, CHANGES)
-    whole = [largest(search.score(null_residual(1000 + seed))) for seed in range(400)]
+    whole = [largest(search.score(null_residual(1000 + seed))) for seed in range(200)]
     cheap = search.null_statistics(2000, seed=1)
     assert np.mean(whole) == pytest.approx(np.mean(cheap), rel=0.25)
     assert np.quantile(whole, 0.9) == pytest.approx(np.quantile(cheap, 0.9), rel=0.25)
-
-
-def test_a_variance_from_few_trajectories_takes_a_higher_threshold(signatures, nuisances):
-    few, many = (
-        OpticalSearch(signatures, replace(truth(), trajectory_count=n), nuisances, CHANGES)
-        for n in (4, 100)
-    )
-    assert few.threshold(0.02, count=500) > 1.5 * many.threshold(0.02, count=500)
 
 
 def test_a_vignetting_of_ten_percent_is_found_and_not_called_gamma(search):
@@ -198,13 +171,6 @@ def test_a_vignetting_of_ten_percent_is_found_and_not_called_gamma(search):
         assert scores[0].explained > 0.8
         assert scores[0].values["edge_loss"] == pytest.approx(0.1, rel=0.25)
         assert "gamma" not in alike(scores, search.likeness())
-
-
-def test_what_no_effect_explains_is_said_to_be_unexplained(search):
-    # A lens out of focus is not among the effects.
-    scores = search.score(with_law(lambda p: cv2.GaussianBlur(p, (0, 0), 1.0), 0))
-    assert scores[0].statistic > search.threshold(0.02)
-    assert scores[0].explained < 0.5
 
 
 def test_other_laws_are_named_by_what_they_are(search):
@@ -249,13 +215,6 @@ def test_a_small_offset_is_the_camera_s_and_a_large_one_is_not(signatures, noise
     assert not lost["ambient_light"].is_excited
 
 
-def test_a_size_stays_in_its_range(search):
-    scores = {s.name: s for s in search.score(with_law(lambda p: 2.0 * p - vignetted(p), 4))}
-    # Brighter edges are no vignetting.
-    assert scores["vignetting"].values["edge_loss"] == 0.0
-    assert scores["vignetting"].statistic == 0.0
-
-
 def test_what_the_data_do_not_show_is_not_excited(noise, nuisances):
     library = load_effects()
     # Nothing moves in these films.
@@ -264,18 +223,6 @@ def test_what_the_data_do_not_show_is_not_excited(noise, nuisances):
     found = {score.name: score for score in scores}
     assert not found["motion_blur"].is_excited
     assert found["gamma"].is_excited
-
-
-def test_probes_keep_the_other_parameters_where_they_do_nothing():
-    library = load_effects()
-    (directions, shape), *_ = probes_of(library["camera_intrinsics"])
-    assert [d.name for d in directions] == ["focal_ratio", "shift_x_rad", "shift_y_rad"]
-    assert all(d.step != 0.0 for d in directions)
-    assert shape == {}
-    spots = probes_of(library["worn_coat"])
-    assert len(spots) == 25
-    assert all(len(directions) == 1 for directions, _ in spots)
-    assert len({tuple(sorted(shape.items())) for _, shape in spots}) == 25
 
 
 def test_a_probe_that_does_nothing_is_refused():

@@ -15,11 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.measurement import one_of_each, protocol_of
 from dotsim_ros.effects.effect import IMAGE, Effect
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
-from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import (
     Candidate,
     ChannelGap,
@@ -27,6 +27,7 @@ from dotsim_ros.gap.findings import (
     OpticalFindings,
     TileGap,
     Verdict,
+    candidate_of,
 )
 from dotsim_ros.gap.images.case import (
     HEIGHT,
@@ -78,7 +79,8 @@ def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
     case, _ = _case_without_gap(request, progress)
     count = len(case.shots) - 1
     effects = [e for e in request.library().values() if e.image is not None]
-    source = f"{count} trajectories of {request.measured.name} with {request.sensor.name}"
+    name = read_data_set(request.measured).directory.name
+    source = f"{count} trajectories of {name} with {request.sensor.name}"
     return fit_optical_null(
         case,
         effects,
@@ -137,7 +139,8 @@ def _null_of(
         try:
             reference = replace(request, measured=request.reference)
             case, solves = _case_without_gap(reference, progress)
-            source = f"{len(case.shots) - 1} trajectories of {request.reference.name}"
+            name = read_data_set(request.reference).directory.name
+            source = f"{len(case.shots) - 1} trajectories of {name}"
             told = wording.learnt_from_reference(unknown, source)
             return null.with_effects(unknown, case), [told], solves
         except (FileNotFoundError, ValueError) as error:
@@ -290,26 +293,21 @@ def _optical_findings(
     squares = [mean_squares(judged, one, search.noise, case) for one in (before, after)]
     sizes = np.array([one.size for one in before])
     closed = _closed(squares, sizes, null.usual_excess, random) if answer.named else None
-    warnings = list(warnings)
-    if answer.stability is not None and answer.stability < decision.STABLE_SHARE:
-        warnings.append(
-            f"the name of the images' effect is not stable: {answer.stability:.0%} of bootstrap "
-            "repetitions over trajectories agree; record more trajectories"
-        )
-    for one in answer.named:
-        reached = wording.reaches_end(one.effect, answer.estimates[one.effect.name][0])
-        warnings += [] if reached is None else [reached]
+    told = [(one.effect, answer.estimates[one.effect.name]) for one in answer.named]
+    uncertain = wording.certainty_warnings(" of the images' effect", answer.stability, told)
     gap = _colour_gap(judged, before, after, search, null)
     beyond = answer.beyond
     return OpticalFindings(
         verdict=answer.verdict,
         sentence=wording.optical_sentence(
             answer.verdict,
-            [(one.effect, answer.estimates[one.effect.name]) for one in answer.named],
-            [library[name] for name in answer.alternatives],
-            gap,
-            nearest=_nearest(answer, library),
-            beyond=None if beyond is None else (beyond.parameter, beyond.value),
+            wording.Facts(
+                named=told,
+                alternatives=[library[name] for name in answer.alternatives],
+                gaps=[gap],
+                nearest=_nearest(answer, library),
+                beyond=None if beyond is None else (beyond.parameter, beyond.value),
+            ),
         ),
         named=tuple(one.effect.name for one in answer.named),
         alternatives=answer.alternatives,
@@ -325,7 +323,7 @@ def _optical_findings(
         share_closed_high=None if closed is None else closed[2],
         stability=answer.stability,
         tiles=_tiles(case, judged, before, after, search),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *uncertain),
         trajectories=tuple(shot.name for shot in search.shots),
         locked=tuple(locked),
         frame_count=sum(len(shot.measured) for shot in case.shots),
@@ -333,12 +331,12 @@ def _optical_findings(
     )
 
 
-def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> Effect | None:
+def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> list[Effect]:
     """Return the effect that comes nearest, where any explains something."""
     if answer.beyond is not None:
-        return answer.beyond.effect
+        return [answer.beyond.effect]
     best = answer.scores[0]
-    return library[best.name] if best.fit > 0.0 else None
+    return [library[best.name]] if best.fit > 0.0 else []
 
 
 def _closed(
@@ -445,8 +443,4 @@ def _candidates(
             )
         )
     hidden = [score.name for score in answer.scores if not score.is_excited]
-    result += [
-        Candidate(name, library[name].title, False, 0.0, library[name].parameters[0].none or 0.0)
-        for name in [*silent, *hidden]
-    ]
-    return tuple(result)
+    return (*result, *(candidate_of(library[name]) for name in [*silent, *hidden]))

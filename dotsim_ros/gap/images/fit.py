@@ -40,7 +40,7 @@ from dotsim_ros.gap.images.search import (
     signatures_of,
 )
 from dotsim_ros.gap.images.tile_noise import TileNoise
-from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
+from dotsim_ros.gap.resampling import BOOTSTRAPS, Contest, bootstrap_weights, stability
 from dotsim_ros.io.arrays import FloatArray
 
 ROUNDS = 2
@@ -182,7 +182,7 @@ class ImageSearch:
         elif excess > most:
             verdict = Verdict.UNKNOWN
         alternatives: tuple[str, ...] = ()
-        stability = None
+        stable = None
         estimates: dict[str, tuple[Estimate, ...]] = {}
         if verdict is Verdict.NAMED:
             if len(named) == 1:
@@ -194,7 +194,7 @@ class ImageSearch:
                 for one in named
             ]
             estimates = self._estimates(alone, weights)
-            stability = self._stability(alone, alternatives, weights)
+            stable = self._stability(alone, alternatives, weights)
         else:
             named = []
         return OpticalAnswer(
@@ -207,7 +207,7 @@ class ImageSearch:
             float(np.clip(explained, 0.0, 1.0)),
             excess,
             most,
-            stability,
+            stable,
             estimates,
             beyond,
         )
@@ -262,10 +262,6 @@ class ImageSearch:
                 return BeyondRange(one.effect, parameter, value)
         return None
 
-    def _first(self, scores: Sequence[EffectScore]) -> EffectScore | None:
-        """Return the score that explains most of those past the threshold."""
-        return next((s for s in scores if s.statistic > self.threshold), None)
-
     def _square(self, residuals: Sequence[FloatArray]) -> float:
         """Return the square of a residual, whitened and free of nuisances."""
         whitened = self.search.whitened(residuals)
@@ -291,7 +287,7 @@ class ImageSearch:
         floor = self.null.largest_excess(self.alpha) * sum(one.size for one in measured)
         while len(named) < MOST_EFFECTS:
             others = [s for s in self.search.score(rest) if s.name != named[0].effect.name]
-            second = self._first(others)
+            second = next((s for s in others if s.statistic > self.threshold), None)
             if second is None:
                 break
             added = self._refined(rest, second)
@@ -380,17 +376,20 @@ class ImageSearch:
         """Return the share of bootstrap repetitions, (draws, shots) weights, that give the same
         answer: the effect that is named, or one of the set, comes first and is past the threshold;
         of two named, each next to the other."""
-        same = np.ones(len(weights), dtype=bool)
         named = {one.effect.name for one, _ in alone}
-        for one, rest in alone:
+
+        def contest(one: Fitted, rest: Sequence[FloatArray]) -> Contest:
             taken = named - {one.effect.name}
-            accepted = {one.effect.name, *alternatives}
             products = self.search.products(rest)
-            for number, weight in enumerate(weights):
+
+            def winner(weight: FloatArray) -> str | None:
                 scores = self.search.score_products(np.tensordot(weight, products, axes=1))
                 first = next(score for score in scores if score.name not in taken)
-                same[number] &= first.statistic > self.threshold and first.name in accepted
-        return float(same.mean())
+                return first.name if first.statistic > self.threshold else None
+
+            return winner, {one.effect.name, *alternatives}
+
+        return stability([contest(*one) for one in alone], weights)
 
 
 def mean_squares(
@@ -432,10 +431,8 @@ def _opened(direction: Direction, end: float | None) -> Direction:
     """Return a direction whose range goes on beyond an end; None for one that it does not reach."""
     if end is None:
         return direction
-    further = decision.OPENED * (end - direction.none)
-    return replace(
-        direction, low=direction.low + min(further, 0.0), high=direction.high + max(further, 0.0)
-    )
+    low, high = decision.opened_range(direction.low, direction.high, direction.none, end)
+    return replace(direction, low=low, high=high)
 
 
 def _beside(parameter: EffectParameter, value: float, reach: float) -> list[float]:

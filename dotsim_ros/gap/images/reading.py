@@ -75,7 +75,7 @@ class MeasuredImages:
         return np.rint(self.idle_images.mean(axis=0)).astype(np.uint8)
 
 
-def holds_images(directory: str | Path) -> tuple[bool, bool]:
+def holds_images(directory: str | Path | DataSet) -> tuple[bool, bool]:
     """Return whether a data set says that its bags hold images, and whether it has idle images.
 
     Raises:
@@ -86,7 +86,7 @@ def holds_images(directory: str | Path) -> tuple[bool, bool]:
 
 
 def read_images(
-    directory: str | Path,
+    directory: str | Path | DataSet,
     *,
     skin: SkinMesh,
     indenters: str | Path | None = None,

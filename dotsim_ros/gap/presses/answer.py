@@ -312,12 +312,8 @@ def size_beyond_range(search: Search, entry: Ranked, beside: Ranked | None = Non
     variant = entry.trial.variant
     above = end > variant.absent
     outermost = search.segments([variant])[-1 if above else 0]
-    further = decision.OPENED * (end - variant.absent)
-    opened = replace(
-        outermost,
-        low=outermost.low + min(further, 0.0),
-        high=outermost.high + max(further, 0.0),
-    )
+    low, high = decision.opened_range(outermost.low, outermost.high, variant.absent, end)
+    opened = replace(outermost, low=low, high=high)
     base = fit_nuisances(evidence).objective
     found = try_segment(evidence, opened, base)
     within = try_segment(evidence, outermost, base)

@@ -17,7 +17,8 @@ from dotsim_ros.gap.presses.inference import Evidence, fit_nuisances
 from dotsim_ros.gap.presses.isolability import pairs_of
 from dotsim_ros.gap.presses.screening import Screen
 from dotsim_ros.gap.presses.search_state import Ranked, Search
-from dotsim_ros.gap.resampling import BOOTSTRAPS
+from dotsim_ros.gap.resampling import Contest, stability
+from dotsim_ros.io.arrays import FloatArray
 
 CHI_SQUARE = 3.84
 """95 % of one degree of freedom."""
@@ -139,11 +140,9 @@ def stability_of(
         for segment in search.segments(entry.variants):
             segments.append(segment)
             owners.append(entry)
-    same = np.ones(BOOTSTRAPS, dtype=bool)
-    repetitions = search.bootstraps
-    for entry in named:
+
+    def contested(entry: Ranked) -> Contest:
         others = [other for other in named if other is not entry]
-        accepted = {entry.effect.name, *_names(alternatives)}
         taken = _names(others)
         evidence = search.evidence
         for other in others:
@@ -151,12 +150,16 @@ def stability_of(
         free = [k for k, owner in enumerate(owners) if owner.effect.name not in taken]
         screen = Screen(evidence, [segments[k] for k in free])
         limits = np.array([owners[k].limit for k in free])
-        for number, counts in enumerate(repetitions):
+
+        def winner(counts: FloatArray) -> str | None:
             _, gains, _ = screen.tries(evidence.residual, counts)
             gains[gains <= limits] = 0.0
             best = int(np.argmax(gains))
-            same[number] &= gains[best] > 0.0 and owners[free[best]].effect.name in accepted
-    return float(same.mean())
+            return owners[free[best]].effect.name if gains[best] > 0.0 else None
+
+        return winner, {entry.effect.name, *_names(alternatives)}
+
+    return stability([contested(entry) for entry in named], search.bootstraps)
 
 
 def _names(entries: Sequence[Ranked]) -> set[str]:
