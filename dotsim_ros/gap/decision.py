@@ -112,10 +112,6 @@ def threshold_of(gains: list[float], alpha: float) -> float:
     """Return the gain that data without an effect exceed with probability alpha.
 
     Beyond the draws the tail is taken as exponential, as that of half a chi-square is.
-
-    Args:
-        gains: of simulated nulls.
-        alpha: the probability.
     """
     ordered = sorted(gains)
     count = len(ordered)

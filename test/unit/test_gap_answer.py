@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter
-from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, active_effects
+from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.decision import EXPLAINED
 from dotsim_ros.gap.findings import Verdict
@@ -33,7 +33,7 @@ from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
 from dotsim_ros.gap.presses.locate import Closed, Residuals, share_closed
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
 from dotsim_ros.gap.presses.search_state import GapRequest, Search
-from dotsim_ros.gap.report.wording import Facts, amid_all, reaches_end, sentence
+from dotsim_ros.gap.report.wording import Facts, amid_all, sentence
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
 SHAPE = (FRAMES, SIZE)
@@ -233,16 +233,6 @@ def test_an_effect_is_not_named_where_the_data_ask_for_more_than_it_can_be(
     assert "The nearest is: late, but the data ask for size = 1.3 s, and its plausible" in text
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.6, 0.9), (0.6, 1.0), (0.0, 0.4)])
-def test_an_interval_that_reaches_the_end_of_a_range_is_told(low: float, high: float) -> None:
-    told = reaches_end(EFFECT, Estimate("size", "s", 0.5 * (low + high), low, high))
-    if high < 1.0:  # that of the absent effect is no such end
-        assert told is None
-        return
-    assert told is not None
-    assert "the interval of late.size reaches the end of its range, 1 s" in told
-
-
 @pytest.mark.parametrize(
     ("closed", "is_open"),
     [
@@ -313,19 +303,6 @@ def test_a_run_that_finds_its_solves_on_disk_has_the_same_budget(
         search.case.solver = SimpleNamespace(asked_count=asked, solve_count=solved)
         assert search.has_budget(5)
         assert not search.has_budget(6)
-
-
-def test_the_parts_of_a_change_in_each_channel_add_up_to_it(
-    change: list[np.ndarray], random: np.random.Generator
-) -> None:
-    case = case_of(change, random)
-    variant, chosen = variant_of(change), [0, 3, 4]
-    columns = case.channel_columns(variant, 0.4, chosen)
-    whole = case.whitened(case.change_at(variant, 0.4), chosen)
-    assert np.allclose(columns.sum(axis=1), whole)
-    in_force = np.tile(OF_FORCE, FRAMES * len(chosen))
-    assert not columns[in_force, 0].any()
-    assert not columns[~in_force, 1].any()
 
 
 def test_a_name_is_stable_where_every_trajectory_shows_it_and_not_where_one_does(

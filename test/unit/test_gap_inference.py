@@ -65,18 +65,6 @@ def test_a_size_and_a_nuisance_are_found_within_their_errors(random: np.random.G
     assert fit(seen, nothing(seen)).objective > found.objective + 100.0
 
 
-def test_a_prior_keeps_what_the_data_do_not_tell_at_its_centre(
-    random: np.random.Generator,
-) -> None:
-    evidence = evidence_of(random)
-    blind = Evidence(
-        random.standard_normal(len(evidence.residual)),
-        np.zeros_like(evidence.nuisance),
-        evidence.trajectory,
-    )
-    assert np.allclose(fit(blind, nothing(blind)).nuisance, 0.0)
-
-
 def test_one_bad_trajectory_does_not_name_an_effect(random: np.random.Generator) -> None:
     evidence = evidence_of(random)
     column = random.standard_normal(len(evidence.residual))

@@ -16,7 +16,6 @@ from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-import numpy as np
 import pytest
 from gap_findings import EXAMPLES, named, no_gap, of_set, places, unknown
 from PIL import Image
@@ -227,17 +226,6 @@ def test_nothing_named_has_no_after() -> None:
 def test_every_verdict_renders_without_anything_else(verdict: Verdict) -> None:
     findings = Findings(verdict, "A sentence.")
     assert findings.sentence in text_of(findings)
-
-
-def test_places_are_summed_over_what_is_not_shown() -> None:
-    table = by_phase(places())
-    assert table.columns == ("idle", "load", "hold", "slide", "release")
-    row, column = table.rows.index("skin, rim"), table.columns.index("slide")
-    parts = [p for p in places() if (p.channel, p.region, p.phase) == ("skin", "rim", "slide")]
-    assert table.before[row, column] == pytest.approx(
-        math.sqrt(np.mean([part.before**2 for part in parts]))
-    )
-    assert by_trajectory(places()).rows[0] == "slide_1"
 
 
 def test_a_stated_sum_is_used_and_not_counted_again() -> None:

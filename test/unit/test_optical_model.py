@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from optical_presses import dented
 
-from dotsim_ros.effects.effect import Active
-from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.images.model import TwinCamera, resized
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.specification import load_sensor
@@ -80,15 +78,6 @@ def test_the_flow_is_that_of_the_skin(film):
     assert flow[y, x, 1] == pytest.approx(speed, rel=0.2)
     assert abs(flow[y, x, 0]) < 0.2 * speed
     assert not flow[0, 0].any()
-
-
-def test_effects_act_on_every_frame_with_fresh_filters(film):
-    effect = load_effects()["ambient_light"]
-    active = [Active(effect, {"added_share": 0.02})]
-    expected = np.clip(film.pixels + 5.1, 0.0, 255.0)
-    np.testing.assert_allclose(film.with_effects(active), expected, rtol=1e-5)
-    np.testing.assert_allclose(film.with_effects(active), expected, rtol=1e-5)
-    np.testing.assert_array_equal(film.with_effects([]), film.pixels)
 
 
 def test_a_film_keeps_its_view_at_another_size(film):

@@ -12,9 +12,7 @@ from optical_films import (
     CHANGES,
     CHOSEN,
     FILMS,
-    FOCAL,
     HEIGHT,
-    IDLE,
     LIT,
     METER,
     NULLS,
@@ -28,13 +26,11 @@ from optical_films import (
     vignetted,
 )
 
-from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.images.search import (
     OpticalSearch,
     alike,
     camera_nuisances,
-    probes_of,
     signatures_of,
 )
 from dotsim_ros.gap.images.tile_noise import estimate_noise
@@ -173,19 +169,6 @@ def test_a_vignetting_of_ten_percent_is_found_and_not_called_gamma(search):
         assert "gamma" not in alike(scores, search.likeness())
 
 
-def test_other_laws_are_named_by_what_they_are(search):
-    laws = {
-        "led_imbalance_red": lambda p: p * np.array([0.94, 0.995, 1.0]),
-        "auto_exposure": lambda p: p * (IDLE[LIT].mean() / p[LIT].mean()) ** 0.8,
-        "camera_intrinsics": lambda p: np.roll(p, 1, axis=1),
-    }
-    for name, law in laws.items():
-        assert search.score(with_law(law, 3))[0].name == name
-    shift = search.score(with_law(laws["camera_intrinsics"], 3))[0].values
-    assert shift["shift_x_rad"] * FOCAL == pytest.approx(1.0, rel=0.3)
-    assert shift["shift_y_rad"] * FOCAL == pytest.approx(0.0, abs=0.1)
-
-
 def test_ambient_light_and_gamma_are_flagged_as_a_pair(search):
     pairs = {frozenset((one.first, one.second)): one.cosine for one in search.likeness()}
     together = pairs[frozenset(("ambient_light", "gamma"))]
@@ -223,24 +206,3 @@ def test_what_the_data_do_not_show_is_not_excited(noise, nuisances):
     found = {score.name: score for score in scores}
     assert not found["motion_blur"].is_excited
     assert found["gamma"].is_excited
-
-
-def test_a_probe_that_does_nothing_is_refused():
-    effect = Effect(
-        "still",
-        "Still",
-        (EffectParameter("size", "", 1.0, 0.5, 1.5, (1.0,)),),
-        (IMAGE,),
-        "nothing",
-        lambda recording: True,
-        image=lambda values: lambda seen: seen.pixels,
-    )
-    with pytest.raises(ValueError, match="'size' is probed at"):
-        probes_of(effect)
-
-
-def test_blocks_that_are_not_the_trajectories_are_refused(signatures, noise, nuisances):
-    with pytest.raises(ValueError, match="6 trajectories, expected 5 as predicted"):
-        OpticalSearch(signatures, noise, nuisances, CHANGES[:-1])
-    with pytest.raises(ValueError, match="no optical effect"):
-        OpticalSearch({}, noise, nuisances, CHANGES)

@@ -49,13 +49,7 @@ class Shot:
     def of_frames(self, frames: NDArray[np.integer]) -> Shot:
         """Return some of the frames; the films keep how fast the image moved there."""
         film = replace(
-            self.film,
-            stamp_s=self.film.stamp_s[frames],
-            session_s=self.film.session_s[frames],
-            pixels=self.film.pixels[frames],
-            flow_px_s=self.film.flow_px_s[frames],
-            depth_m=self.film.depth_m[frames],
-            normal=self.film.normal[frames],
+            self.film, **{name: getattr(self.film, name)[frames] for name in Film.BY_FRAME}
         )
         return replace(
             self,

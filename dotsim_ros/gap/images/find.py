@@ -68,11 +68,6 @@ RESAMPLED = 200
 def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
     """Return what the images of a data set show in which nothing is missing.
 
-    Args:
-        request: the data set, its twin and indenters; with a reference, that idle frame is the
-            twin's.
-        progress: told the steps.
-
     Raises:
         FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """

@@ -87,18 +87,10 @@ class BeyondRange:
 
 @dataclass(frozen=True)
 class OpticalAnswer:
-    """What the rule makes of images.
+    """What the rule makes of images; most of it as in `OpticalFindings`.
 
     Attributes:
-        verdict: the answer.
-        named: the effects.
-        alternatives: names of those that cannot be distinguished from the first.
         scores: of all effects, the best first.
-        statistic, threshold: the largest, and what 1 - alpha of data without any effect stay below.
-        explained: share of what could be removed that the best effects take away.
-        excess, largest_excess: mean square of the whitened residual without effects, and what
-            1 - alpha of data without any effect stay below.
-        stability: share of bootstrap repetitions over trajectories that give the same answer.
         estimates: the parameters of each named effect.
         beyond: why the effect that explains most is not named, where it asks for too large a size.
     """
@@ -217,10 +209,6 @@ class ImageSearch:
     ) -> tuple[list[Fitted], float, BeyondRange | None]:
         """Return the effects that are added, the square that they leave, and which of them asks for
         a size beyond its range; what takes off as much within its own range takes their place.
-
-        Args:
-            measured: residuals.
-            able: the scores past the threshold, the best first.
         """
         named, left = self._named(measured, able[0])
         beyond = self._beyond(measured, named)

@@ -197,10 +197,6 @@ def simulate_effects(
 ) -> tuple[list[Variant], list[str]]:
     """Simulate every effect that is excited at its probes; return them, and the others' names.
 
-    Args:
-        search: the case.
-        progress: called as `dotsim_ros.twin.solver.Progress`.
-
     Raises:
         ValueError: nothing is excited.
     """

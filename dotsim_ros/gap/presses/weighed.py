@@ -89,13 +89,7 @@ def without_scale(
 def with_scale(
     findings: Findings, overlay: Overlay | None, scale: ForceScale, effect: Effect
 ) -> tuple[Findings, Overlay]:
-    """Return what was found in presses, and the wrong scale that weights give.
-
-    Args:
-        findings, overlay: of the presses, with forces that are right.
-        scale: of the gauge.
-        effect: the library's.
-    """
+    """Return what was found in presses, and the wrong scale that weights give."""
     reach = 1.96 * scale.deviation
     estimate = Estimate("scale", "", scale.scale, scale.scale - reach, scale.scale + reach)
     candidate = Candidate(

@@ -80,14 +80,7 @@ def gap_bars(gap: ChannelGap, *, with_after: bool) -> ReportImage:
 
 
 def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> ReportImage:
-    """Return a table of residuals as colours and numbers.
-
-    Args:
-        table: of at least one row and column.
-        stage: "before" or "after".
-        name: of the file.
-        title: above it.
-    """
+    """Return a table of residuals as colours and numbers."""
     if len(table.rows) > MOST_ROWS:
         title = f"{title}: the {MOST_ROWS} strongest of {len(table.rows)}"
         table = strongest(table, MOST_ROWS)

@@ -306,13 +306,7 @@ def reaches_end(effect: Effect, estimate: Estimate) -> str | None:
 
 
 def image_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int) -> list[str]:
-    """Return what limits the conclusions from images.
-
-    Args:
-        noise_sensor, noise_source: whose images the thresholds come from, and which.
-        sensor: name of the twin.
-        count: of the trajectories with images.
-    """
+    """Return what limits the conclusions from images."""
     texts = []
     if noise_sensor != sensor:
         texts.append(
