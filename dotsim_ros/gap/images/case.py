@@ -68,11 +68,15 @@ class OpticalCase:
         shots: `IDLE` first.
         meter: that compared them.
         camera: (T, 6) deviation by the camera's noise; NaN where there is a single idle image.
+        solve_count: of the twin's skins.
+        left_out: what could not be solved.
     """
 
     shots: tuple[Shot, ...]
     meter: TileMeter
     camera: FloatArray
+    solve_count: int = 0
+    left_out: tuple[str, ...] = ()
 
     def without_contact(self) -> OpticalCase:
         """Return the frames in which nothing touches the skin."""

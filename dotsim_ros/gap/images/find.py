@@ -71,52 +71,53 @@ def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
     Raises:
         FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """
-    case, _ = _case_without_gap(request, progress)
-    count = len(case.shots) - 1
+    case = case_of(request, progress)
+    _check_enough(case)
     effects = [e for e in request.library().values() if e.image is not None]
     name = read_data_set(request.measured).directory.name
-    source = f"{count} trajectories of {name} with {request.sensor.name}"
     return fit_optical_null(
         case,
         effects,
         sensor=request.sensor.name,
-        source=source,
+        source=f"{len(case.shots) - 1} trajectories of {name} with {request.sensor.name}",
         progress=lambda done, total: progress("noise of the images", done, total),
     )
 
 
-def case_of(request: GapRequest, progress: Progress) -> OpticalCase:
-    """Return the images of a data set next to those of the twin without any effect.
+def case_of(
+    request: GapRequest,
+    progress: Progress,
+    *,
+    taken: tuple[MeasuredImages, TwinCamera] | None = None,
+    overlay: Overlay | None = None,
+) -> OpticalCase:
+    """Return the images of a data set next to those of the twin.
+
+    Args:
+        request: what is searched.
+        progress: told the steps.
+        taken: as `_images_and_model`, where they were read before.
+        overlay: effects of the gel; None for none.
 
     Raises:
         FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """
-    return _case_and_solves(request, progress)[0]
-
-
-def _case_and_solves(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
-    images, model = _images_and_model(request)
-    skins, solves, _ = _skins(request, images, None, progress)
+    images, model = taken or _images_and_model(request)
+    skins, solves, left_out = _skins(request, images, overlay, progress)
     case = optical_case(
         images, model, skins, progress=lambda done, total: progress("images", done, total)
     )
-    return case, solves
+    return replace(case, solve_count=solves, left_out=tuple(left_out))
 
 
-def _case_without_gap(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
-    """Return the images of a data set in which nothing is missing, and how many solves it took.
-
-    Raises:
-        FileNotFoundError, ValueError: as `case_of`; or too few trajectories.
-    """
-    case, solves = _case_and_solves(request, progress)
+def _check_enough(case: OpticalCase) -> None:
+    """Refuse images without a gap from which a model's error cannot be estimated."""
     count = len(case.shots) - 1
     if count <= LEAST_TRAJECTORIES:
         raise ValueError(
             f"{count} trajectories with images are too few to tell what a model errs by, "
             f"expected more than {LEAST_TRAJECTORIES}"
         )
-    return case, solves
 
 
 def _null_of(
@@ -129,18 +130,18 @@ def _null_of(
     unknown = [effect for effect in effects if not null.knows(effect)]
     if not unknown:
         return null, [], 0
-    reason, solves = "", 0
+    reason = ""
     if request.reference is not None:
         try:
-            reference = replace(request, measured=request.reference)
-            case, solves = _case_without_gap(reference, progress)
+            case = case_of(replace(request, measured=request.reference), progress)
+            _check_enough(case)
             name = read_data_set(request.reference).directory.name
             source = f"{len(case.shots) - 1} trajectories of {name}"
             told = wording.learnt_from_reference(unknown, source)
-            return null.with_effects(unknown, case), [told], solves
+            return null.with_effects(unknown, case), [told], case.solve_count
         except (FileNotFoundError, ValueError) as error:
             reason = str(error)
-    return null, [wording.not_tried_warning(unknown, LEAST_TRAJECTORIES + 1, reason)], solves
+    return null, [wording.not_tried_warning(unknown, LEAST_TRAJECTORIES + 1, reason)], 0
 
 
 def unusable_images(reason: str) -> OpticalFindings:
@@ -158,7 +159,7 @@ def find_optical(
     """Return the optical part, its effects for the overlay, the hash of the images, and how many
     solves it took."""
     images, model = _images_and_model(request)
-    null, limits, reference_solves = _null_of(request, effects, progress)
+    null, limits, solves = _null_of(request, effects, progress)
     warnings = [*images.warnings, *limits]
     known = [effect for effect in effects if null.knows(effect)]
     not_tried = [effect for effect in effects if effect not in known]
@@ -168,12 +169,10 @@ def find_optical(
         nothing = OpticalFindings(
             Verdict.UNUSABLE, sentence, not_tried=names, warnings=tuple(warnings)
         )
-        return nothing, (), images.digest, reference_solves
-    skins, solves, left_out = _skins(request, images, overlay, progress)
-    warnings += left_out
-    case = optical_case(
-        images, model, skins, progress=lambda done, total: progress("images", done, total)
-    )
+        return nothing, (), images.digest, solves
+    case = case_of(request, progress, taken=(images, model), overlay=overlay)
+    warnings += case.left_out
+    solves += case.solve_count
     if findings is not None and findings.verdict is Verdict.UNKNOWN:
         case = case.without_contact()
         warnings.append(
@@ -202,7 +201,7 @@ def find_optical(
     found = tuple(
         FoundEffect(one.effect.name, answer.estimates[one.effect.name]) for one in answer.named
     )
-    return seen, found, images.digest, solves + reference_solves
+    return seen, found, images.digest, solves
 
 
 def _images_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:

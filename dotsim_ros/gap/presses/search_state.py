@@ -71,21 +71,8 @@ class SolveProgress:
 class GapRequest:
     """What to search, and how; one that no search could be run with is refused.
 
-    Attributes:
-        measured: folder of the data set, or what its index says.
-        sensor: the calibrated twin.
+    Attributes are the arguments of `dotsim_ros.gap.find.find_gap`, and:
         directory: of the run: solves are kept there.
-        reference: the commissioning, likewise; None for the absolute mode.
-        indenters: folder of the meshes; None looks next to the data.
-        effects: folders of the user's effects.
-        channels: that are used.
-        candidates: names of the effects to look for; empty for all of the library.
-        alpha: probability of a name on data without any effect.
-        budget: solves of a trajectory after which sizes are refined no more; None for no limit.
-        seed: of all draws.
-        workers: how many processes, or workers of Ray.
-        discrepancy: file of the covariances; None for the shipped ones.
-        optical_noise: file of what images show where nothing is missing; None for the shipped one.
 
     Raises:
         FileNotFoundError: no such folder of effects, or file.
