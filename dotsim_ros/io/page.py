@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.io.printable import boxes_for_missing_glyphs, one_line, printable
@@ -246,8 +245,7 @@ heading, a list or a rule."""
 
 def _one_line(text: str) -> str:
     """Return text, or what is HTML already, on one line."""
-    joined = " ".join(text.split())
-    return Markup(joined) if isinstance(text, Markup) else joined
+    return type(text)(" ".join(text.split()))
 
 
 def _plain(text: str) -> str:

@@ -22,11 +22,15 @@ from PIL import Image
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.effects.overlay import FILE_NAME, FoundEffect, Overlay, read_overlay
+from dotsim_ros.effects.overlay import FILE_NAME, Estimate, FoundEffect, Overlay, read_overlay
+from dotsim_ros.gap.find import combined
 from dotsim_ros.gap.findings import (
+    Candidate,
     ChannelGap,
     Findings,
+    OpticalFindings,
     ResidualPlace,
+    TileGap,
     Verdict,
     as_record,
     findings_of,
@@ -273,3 +277,88 @@ def test_text_is_never_taken_for_markup() -> None:
     markdown = as_markdown(replace(page, sections=(Section("a", (Bullets((hostile,)),)),)))
     assert "<img" not in markdown
     assert "[x]" not in markdown.replace("\\[x]", "")
+
+
+def markdown_of(findings):
+    """Return the report without what is drawn of skin and force: an image takes a second."""
+    return report_files(plain(findings), {}, load_effects())["report.md"].decode()
+
+
+def test_effects_that_were_not_tried_are_in_the_report_and_the_record():
+    found = replace(optical(Verdict.NO_GAP), not_tried=("my_tint",))
+    both = combined(no_gap(), found)
+    assert findings_of(as_record(both)) == both
+    text = markdown_of(both)
+    assert "## Not tried" in text
+    assert "my_tint" in text
+    assert "--fit-optical-noise" in text
+    older = as_record(both)
+    del older["optical"]["not_tried"]
+    assert findings_of(older).optical.not_tried == ()
+
+
+def optical(verdict):
+    """Return a part of the images with a verdict."""
+    found = verdict in (Verdict.NAMED, Verdict.SET)
+    loss = Estimate("edge_loss", "", 0.1, 0.08, 0.12)
+    vignetting = Candidate(
+        "vignetting", "Vignetting", True, 88.0, 0.1, 0.9, None, (loss,) if found else ()
+    )
+    return OpticalFindings(
+        verdict,
+        f"Images: {verdict.value}.",
+        named=("vignetting",) if found else (),
+        alternatives=("gamma",) if verdict is Verdict.SET else (),
+        statistic=88.0,
+        threshold=11.0,
+        candidates=(vignetting, Candidate("motion_blur", "Motion blur", False, 0.0, 0.0)),
+        gap=ChannelGap("image", "levels", 2.0, 1.9, 0.8, 0.8),
+        share_closed=0.97 if found else None,
+        share_closed_low=0.9 if found else None,
+        share_closed_high=1.0 if found else None,
+        stability=1.0 if found else None,
+        tiles=(TileGap(0.4, 0.5, 3.0, 1.0), TileGap(0.6, 0.5, 2.0, 1.0)),
+        warnings=("2 trajectories with images are few",),
+        trajectories=("idle", "press_0"),
+        frame_count=1 + 4,
+        noise_source="19 trajectories of sensor_a",
+    )
+
+
+@pytest.mark.parametrize(
+    ("gel", "images", "expected"),
+    [
+        (no_gap, Verdict.NO_GAP, Verdict.NO_GAP),
+        (no_gap, Verdict.NAMED, Verdict.NAMED),
+        (named, Verdict.UNKNOWN, Verdict.NAMED),
+        (unknown, Verdict.NO_GAP, Verdict.UNKNOWN),
+        (no_gap, Verdict.UNKNOWN, Verdict.UNKNOWN),
+        (no_gap, Verdict.UNUSABLE, Verdict.NO_GAP),
+        (named, Verdict.UNUSABLE, Verdict.NAMED),
+    ],
+)
+def test_both_parts_make_one_verdict(gel, images, expected):
+    both = combined(gel(), optical(images))
+    assert both.verdict is expected
+    assert both.sentence.startswith(gel().sentence)
+    assert both.sentence.endswith(f"Images: {images.value}.")
+    assert both.named == gel().named + optical(images).named
+    assert findings_of(as_record(both)) == both
+    assert "2 trajectories with images are few" in both.warnings
+    # Images alone.
+    assert combined(replace(no_gap(), sentence=""), optical(images)).verdict is images
+
+
+def test_the_report_keeps_the_parts_apart(tmp_path: Path):
+    both = combined(named(), optical(Verdict.NAMED))
+    text = markdown_of(both)
+    assert "## Images" in text
+    assert "1. Vignetting (vignetting), added" in text
+    assert "Share of the images' gap closed, in expected deviations of all tiles: 97 %" in text
+    assert "19 trajectories of sensor_a" in text
+    assert "1. Coulomb slip at another friction (coulomb_slip), added" in text
+    # What no image excites stands next to what no press does.
+    assert "| Motion blur |" in text
+    refused = markdown_of(combined(no_gap(), optical(Verdict.UNUSABLE)))
+    assert "Images: unusable." in refused
+    assert "Images: candidates by rank" not in refused

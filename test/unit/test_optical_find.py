@@ -6,19 +6,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from gap_findings import named, no_gap, unknown
 from optical_films import (
     CENTRE,
+    CHANGES,
     CHOSEN,
     FILMS,
-    FRAMES,
     HEIGHT,
+    LIT,
     METER,
+    NULLS,
     REFERENCES,
     WIDTH,
     beside_a_lamp,
@@ -34,23 +34,15 @@ from optical_films import (
 
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.effects.overlay import Estimate
-from dotsim_ros.gap.find import combined
 from dotsim_ros.gap.findings import (
-    Candidate,
-    ChannelGap,
-    OpticalFindings,
-    TileGap,
     Verdict,
-    as_record,
-    findings_of,
 )
 from dotsim_ros.gap.images.case import OpticalCase, Shot
 from dotsim_ros.gap.images.fit import ImageSearch
 from dotsim_ros.gap.images.null import fit_optical_null, load_optical_null, save_optical_null
 from dotsim_ros.gap.images.reading import check_same_unit, pattern_likeness
-from dotsim_ros.gap.images.search import signatures_of
-from dotsim_ros.gap.report.page import report_files
+from dotsim_ros.gap.images.search import OpticalSearch, alike, camera_nuisances, signatures_of
+from dotsim_ros.gap.images.tile_noise import estimate_noise
 from dotsim_ros.gap.report.wording import Facts, optical_sentence
 
 LIBRARY = load_effects()
@@ -69,10 +61,17 @@ def case_of(films, residuals):
 
 
 @pytest.fixture(scope="module")
-def null():
+def references():
+    """Films, changes and residuals of trajectories in which nothing is wrong."""
     films = [film_of(number) for number in REFERENCES]
+    changes = changes_of(films)
     random = np.random.default_rng(7)
-    residuals = [drawn(change, random) for change in changes_of(films)]
+    return films, changes, [drawn(change, random) for change in changes]
+
+
+@pytest.fixture(scope="module")
+def null(references):
+    films, _, residuals = references
     return fit_optical_null(
         case_of(films, residuals), EFFECTS, sensor="synthetic", source="eight synthetic films"
     )
@@ -154,7 +153,7 @@ def test_a_size_that_is_beyond_the_plausible_is_unknown_and_one_at_the_end_is_no
     assert loss.value == pytest.approx(0.3, rel=0.02)
 
 
-def test_what_would_have_to_be_beyond_its_range_is_no_alternative():
+def test_what_would_have_to_be_beyond_its_range_is_no_alternative(references):
     vignetting = LIBRARY["vignetting"]
     (loss,) = vignetting.parameters
 
@@ -162,9 +161,8 @@ def test_what_would_have_to_be_beyond_its_range_is_no_alternative():
         size = replace(loss, high=high, probes=(0.05,))
         return replace(vignetting, name="faint", parameters=(size,))
 
-    films = [film_of(number) for number in REFERENCES]
-    random = np.random.default_rng(7)
-    case = case_of(films, [drawn(change, random) for change in changes_of(films)])
+    films, _, residuals = references
+    case = case_of(films, residuals)
     null = fit_optical_null(case, [vignetting, faint(0.3)], sensor="synthetic", source="films")
     residuals = residuals_with(darker_edges(0.1), 1)
     case = case_of(FILMS, residuals)
@@ -178,7 +176,7 @@ def test_what_would_have_to_be_beyond_its_range_is_no_alternative():
 
 
 @pytest.fixture(scope="module")
-def lens_and_light():
+def lens_and_light(references):
     """The search for what depth and normals of the skin enter, next to what is taken for it."""
     effects = [
         LIBRARY[name]
@@ -187,9 +185,7 @@ def lens_and_light():
             *("gamma", "vignetting"),
         )
     ]
-    films = [film_of(number) for number in REFERENCES]
-    random = np.random.default_rng(7)
-    residuals = [drawn(change, random) for change in changes_of(films)]
+    films, _, residuals = references
     null = fit_optical_null(
         case_of(films, residuals), effects, sensor="synthetic", source="eight synthetic films"
     )
@@ -285,10 +281,9 @@ def test_an_effect_whose_scatter_is_not_known_is_told_apart(null, signatures):
     assert not null.knows(replace(gamma, parameters=(replace(exponent, name="power"),)))
 
 
-def test_a_reference_tells_the_scatter_of_effects_that_the_file_does_not_know(null):
-    films = [film_of(number) for number in REFERENCES]
-    random = np.random.default_rng(7)
-    case = case_of(films, [drawn(change, random) for change in changes_of(films)])
+def test_a_reference_tells_the_scatter_of_effects_that_the_file_does_not_know(null, references):
+    films, _, residuals = references
+    case = case_of(films, residuals)
     vignetting = LIBRARY["vignetting"]
     poorer = replace(null, spurious=tuple(s for s in null.spurious if s.effect != "vignetting"))
     assert not poorer.knows(vignetting)
@@ -303,25 +298,6 @@ def test_a_reference_tells_the_scatter_of_effects_that_the_file_does_not_know(nu
         ImageSearch(case, case.shots, EFFECTS, one, alpha=0.02, seed=0) for one in (again, few)
     ]
     assert searches[1].threshold > searches[0].threshold
-
-
-def markdown_of(findings):
-    """Return the report without what is drawn of skin and force: an image takes a second."""
-    findings = replace(findings, worst=None, places=(), gaps=())
-    return report_files(findings, {}, LIBRARY)["report.md"].decode()
-
-
-def test_effects_that_were_not_tried_are_in_the_report_and_the_record():
-    found = replace(optical(Verdict.NO_GAP), not_tried=("my_tint",))
-    both = combined(no_gap(), found)
-    assert findings_of(as_record(both)) == both
-    text = markdown_of(both)
-    assert "## Not tried" in text
-    assert "my_tint" in text
-    assert "--fit-optical-noise" in text
-    older = as_record(both)
-    del older["optical"]["not_tried"]
-    assert findings_of(older).optical.not_tried == ()
 
 
 def test_the_shipped_noise_knows_every_effect_of_the_camera():
@@ -357,68 +333,131 @@ def test_the_pattern_tells_units_apart_whatever_happened_to_the_camera():
         check_same_unit(own, own[::2, ::2], owner="the twin's")
 
 
-def optical(verdict):
-    """Return a part of the images with a verdict."""
-    found = verdict in (Verdict.NAMED, Verdict.SET)
-    loss = Estimate("edge_loss", "", 0.1, 0.08, 0.12)
-    vignetting = Candidate(
-        "vignetting", "Vignetting", True, 88.0, 0.1, 0.9, None, (loss,) if found else ()
-    )
-    return OpticalFindings(
-        verdict,
-        f"Images: {verdict.value}.",
-        named=("vignetting",) if found else (),
-        alternatives=("gamma",) if verdict is Verdict.SET else (),
-        statistic=88.0,
-        threshold=11.0,
-        candidates=(vignetting, Candidate("motion_blur", "Motion blur", False, 0.0, 0.0)),
-        gap=ChannelGap("image", "levels", 2.0, 1.9, 0.8, 0.8),
-        share_closed=0.97 if found else None,
-        share_closed_low=0.9 if found else None,
-        share_closed_high=1.0 if found else None,
-        stability=1.0 if found else None,
-        tiles=(TileGap(0.4, 0.5, 3.0, 1.0), TileGap(0.6, 0.5, 2.0, 1.0)),
-        warnings=("2 trajectories with images are few",),
-        trajectories=("idle", "press_0"),
-        frame_count=1 + FRAMES,
-        noise_source="19 trajectories of sensor_a",
-    )
+def brighter_edges(film, loss):
+    """Return what an error of the model in the brightness of the edges does to a film."""
+    return METER.difference(darker_edges(loss)(film.pixels), film.pixels)
 
 
-@pytest.mark.parametrize(
-    ("gel", "images", "expected"),
-    [
-        (no_gap, Verdict.NO_GAP, Verdict.NO_GAP),
-        (no_gap, Verdict.NAMED, Verdict.NAMED),
-        (named, Verdict.UNKNOWN, Verdict.NAMED),
-        (unknown, Verdict.NO_GAP, Verdict.UNKNOWN),
-        (no_gap, Verdict.UNKNOWN, Verdict.UNKNOWN),
-        (no_gap, Verdict.UNUSABLE, Verdict.NO_GAP),
-        (named, Verdict.UNUSABLE, Verdict.NAMED),
-    ],
-)
-def test_both_parts_make_one_verdict(gel, images, expected):
-    both = combined(gel(), optical(images))
-    assert both.verdict is expected
-    assert both.sentence.startswith(gel().sentence)
-    assert both.sentence.endswith(f"Images: {images.value}.")
-    assert both.named == gel().named + optical(images).named
-    assert findings_of(as_record(both)) == both
-    assert "2 trajectories with images are few" in both.warnings
-    # Images alone.
-    assert combined(replace(no_gap(), sentence=""), optical(images)).verdict is images
+@pytest.fixture(scope="module")
+def noise(null):
+    """The covariance as estimated from other trajectories, not as it is."""
+    return null.noise
 
 
-def test_the_report_keeps_the_parts_apart(tmp_path: Path):
-    both = combined(named(), optical(Verdict.NAMED))
-    text = markdown_of(both)
-    assert "## Images" in text
-    assert "1. Vignetting (vignetting), added" in text
-    assert "Share of the images' gap closed, in expected deviations of all tiles: 97 %" in text
-    assert "19 trajectories of sensor_a" in text
-    assert "1. Coulomb slip at another friction (coulomb_slip), added" in text
-    # What no image excites stands next to what no press does.
-    assert "| Motion blur |" in text
-    refused = markdown_of(combined(no_gap(), optical(Verdict.UNUSABLE)))
-    assert "Images: unusable." in refused
-    assert "Images: candidates by rank" not in refused
+@pytest.fixture(scope="module")
+def nuisances(searched):
+    return searched.nuisances
+
+
+@pytest.fixture(scope="module")
+def search(searched):
+    return searched.search
+
+
+def test_the_estimated_noise_is_that_which_was_drawn(noise):
+    true = truth()
+    ratio = noise.deviation(CHANGES[0]) / true.deviation(CHANGES[0])
+    assert 0.85 < np.median(ratio[..., :3]) < 1.15
+    assert 0.85 < np.median(ratio[..., 3:]) < 1.15
+    white = [one.white for one in noise.correlations]
+    assert np.median(white) == pytest.approx(0.6, abs=0.2)
+
+
+def largest(scores):
+    return max(score.statistic for score in scores)
+
+
+def test_nulls_get_few_names(search):
+    threshold = search.threshold(0.02)
+    false = [
+        seed for seed in range(NULLS) if largest(search.score(null_residual(seed))) > threshold
+    ]
+    # 2 % of 40 are wanted.
+    assert len(false) <= 2
+
+
+def test_an_error_that_the_model_repeats_is_no_effect(references, signatures, noise, nuisances):
+    # The model draws the edges too bright, by another share in every trajectory.
+    films, changes, residuals = references
+    random = np.random.default_rng(5)
+
+    def erring(films, residuals):
+        slips = [brighter_edges(film, random.normal(0.0, 0.03)) for film in films]
+        return [slip + one for slip, one in zip(slips, residuals, strict=True)]
+
+    wrong = erring(films, residuals)
+    told = estimate_noise(wrong, changes, truth().camera, METER.grid.centre_px)
+    theirs = signatures_of(EFFECTS, films, METER)
+    reference = OpticalSearch(theirs, told, camera_nuisances(films, METER), changes)
+    spurious = reference.spurious_variances(wrong)
+    aware = OpticalSearch(signatures, told, nuisances, CHANGES, spurious)
+    unaware = OpticalSearch(signatures, told, nuisances, CHANGES)
+    draws = [erring(FILMS, null_residual(seed)) for seed in range(10)]
+    threshold = aware.threshold(0.02)
+    false = [one for one in draws if largest(aware.score(one)) > threshold]
+    fooled = [one for one in draws if largest(unaware.score(one)) > threshold]
+    assert len(false) <= 1
+    assert len(fooled) > len(false)
+    # Three times as much is still seen.
+    scores = aware.score(residuals_with(darker_edges(0.2), 0))
+    assert scores[0].name == "vignetting"
+    assert scores[0].statistic > threshold
+
+
+def test_null_draws_are_those_of_whole_residuals(signatures, nuisances):
+    # So many trajectories that Student's distribution is normal.
+    known = replace(truth(), trajectory_count=10**6)
+    search = OpticalSearch(signatures, known, nuisances, CHANGES)
+    whole = [largest(search.score(null_residual(1000 + seed))) for seed in range(200)]
+    cheap = search.null_statistics(2000, seed=1)
+    assert np.mean(whole) == pytest.approx(np.mean(cheap), rel=0.25)
+    assert np.quantile(whole, 0.9) == pytest.approx(np.quantile(cheap, 0.9), rel=0.25)
+
+
+def test_a_vignetting_of_ten_percent_is_found_and_not_called_gamma(search):
+    threshold = search.threshold(0.02)
+    for seed in range(5):
+        scores = search.score(residuals_with(vignetted, seed))
+        assert scores[0].name == "vignetting"
+        assert scores[0].statistic > threshold
+        assert scores[0].explained > 0.8
+        assert scores[0].values["edge_loss"] == pytest.approx(0.1, rel=0.25)
+        assert "gamma" not in alike(scores, search.likeness())
+
+
+def test_ambient_light_and_gamma_are_flagged_as_a_pair(search):
+    pairs = {frozenset((one.first, one.second)): one.cosine for one in search.likeness()}
+    together = pairs[frozenset(("ambient_light", "gamma"))]
+    assert together > 0.85
+    assert together == max(pairs.values())
+    assert pairs[frozenset(("gamma", "vignetting"))] < 0.8
+    scores = search.score(residuals_with(lambda p: p + 4.0 * LIT[..., None], 5))
+    assert set(alike(scores, search.likeness())[:2]) == {"ambient_light", "gamma"}
+
+
+def test_the_gain_of_the_camera_is_no_effect(search):
+    plain = search.whitened(null_residual(2))
+    dimmed = search.whitened(residuals_with(lambda p: 0.9 * p, 2))
+    # What saturates nowhere is a gain to the last bit, but in the shift of the pattern.
+    np.testing.assert_allclose(dimmed, plain, atol=1e-6)
+
+
+def test_a_small_offset_is_the_camera_s_and_a_large_one_is_not(signatures, noise, nuisances):
+    gain, level = nuisances
+    free = replace(level, deviation=np.inf)
+    known = OpticalSearch(signatures, noise, nuisances, CHANGES)
+    blind = OpticalSearch(signatures, noise, (gain, free), CHANGES)
+    residual = residuals_with(lambda p: p + 4.0 * LIT[..., None], 5)
+    found = {score.name: score for score in known.score(residual)}
+    lost = {score.name: score for score in blind.score(residual)}
+    assert found["ambient_light"].fit > 20.0
+    assert not lost["ambient_light"].is_excited
+
+
+def test_what_the_data_do_not_show_is_not_excited(noise, nuisances):
+    # Nothing moves in these films.
+    signatures = signatures_of([LIBRARY["motion_blur"], LIBRARY["gamma"]], FILMS, METER)
+    scores = OpticalSearch(signatures, noise, nuisances, CHANGES).score(null_residual(0))
+    found = {score.name: score for score in scores}
+    assert not found["motion_blur"].is_excited
+    assert found["gamma"].is_excited
