@@ -111,7 +111,7 @@ def read_measurement(
 
 
 def read_poses(
-    directory: str | Path,
+    directory: str | Path | DataSet,
     *,
     skin: SkinMesh,
     indenters: str | Path | None = None,

@@ -58,7 +58,7 @@ def plan(request: GapRequest) -> dict[str, Any]:
     # That of the planned measurement, where it is known.
     has_mesh = data_set.has_skin_mesh
     skin = data_set.skin_mesh() if has_mesh else skin_of(request.sensor.gel)
-    recordings, warnings = read_poses(request.measured, skin=skin, indenters=request.indenters)
+    recordings, warnings = read_poses(data_set, skin=skin, indenters=request.indenters)
     library = request.library()
     values = values_of(request.sensor)
     with open_solver(
