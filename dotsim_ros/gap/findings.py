@@ -311,7 +311,7 @@ def _read(kind: Any, value: Any) -> Any:
         return tuple(_read(get_args(kind)[0], one) for one in value)
     if get_origin(kind) is UnionType:
         return None if value is None else _read(get_args(kind)[0], value)
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         types = get_type_hints(kind)
         return kind(**{name: _read(types[name], value[name]) for name in types if name in value})
     return Verdict(value) if kind is Verdict else value
