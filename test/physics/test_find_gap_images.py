@@ -229,7 +229,11 @@ def test_another_unit_s_images_are_refused_and_the_gel_is_still_judged(
 ) -> None:
     data = measure(unit, tmp_path, lambda takes: takes.pixels[:, :, ::-1])
     findings, overlay = searched(
-        data, sensor, run, channels=("skin", "force", "image"), candidates=("gamma", "force_drift")
+        data,
+        sensor,
+        run,
+        channels=("skin", "force", "image"),
+        candidates=("gamma", "permanent_set"),
     )
     assert findings.verdict is Verdict.NO_GAP
     assert overlay is None
