@@ -67,7 +67,7 @@ def holds_skin_or_force(
 
 
 def read_measurement(
-    directory: str | Path | DataSet,
+    data: str | Path | DataSet,
     *,
     own_skin: SkinMesh,
     indenters: str | Path | None = None,
@@ -76,7 +76,7 @@ def read_measurement(
     """Read a data set.
 
     Args:
-        directory: the folder that holds dataset.yaml.
+        data: its folder, or what its index says.
         own_skin: of the sensor's file, used where the data set has no mesh of its own.
         indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
         topics: where the channels lie.
@@ -85,7 +85,7 @@ def read_measurement(
         FileNotFoundError: no data set there.
         ValueError: no trajectory of it can be used; the text lists why.
     """
-    data_set = read_data_set(directory)
+    data_set = read_data_set(data)
     folder = data_set.directory
     warnings = [
         f"{name} lies in the data set: it was not read"
@@ -111,7 +111,7 @@ def read_measurement(
 
 
 def read_poses(
-    directory: str | Path | DataSet,
+    data: str | Path | DataSet,
     *,
     skin: SkinMesh,
     indenters: str | Path | None = None,
@@ -126,7 +126,7 @@ def read_poses(
         FileNotFoundError: no data set there.
         ValueError: no trajectory of it has poses.
     """
-    data_set = read_data_set(directory)
+    data_set = read_data_set(data)
     found: list[Recording | None] = []
     warnings = []
     for entry in data_set.entries:
@@ -148,7 +148,9 @@ def read_poses(
         found.append(Recording(planned, indenter, 0.0, depth_m, phase))
     recordings = _in_session(found, data_set, topics)
     if not recordings:
-        raise ValueError(f"{directory}: no trajectory has poses: {summarize_reasons(warnings)}")
+        raise ValueError(
+            f"{data_set.directory}: no trajectory has poses: {summarize_reasons(warnings)}"
+        )
     return tuple(recordings), tuple(warnings)
 
 
