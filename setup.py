@@ -147,6 +147,8 @@ setup(
         "POT>=0.9",
         "embreex>=2.17.7.post5",
         "imageio-ffmpeg>=0.4.9",
+        # the pages of reports
+        "jinja2>=3.1",
         "lz4>=4.0",
         "matplotlib>=3.6",
         "mcap>=1.2",

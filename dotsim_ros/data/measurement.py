@@ -49,7 +49,9 @@ class Measurement:
     digest: str
 
 
-def holds_skin_or_force(directory: str | Path, *, topics: Topics = MEASURED_TOPICS) -> bool:
+def holds_skin_or_force(
+    directory: str | Path | DataSet, *, topics: Topics = MEASURED_TOPICS
+) -> bool:
     """Return whether a bag of a data set holds the skin or the force; a bag that cannot be read
     counts as one that does, so that reading it reports what is wrong."""
     for entry in read_data_set(directory).entries:

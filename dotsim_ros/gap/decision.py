@@ -20,24 +20,6 @@ of the study: it names as many right, and makes sets where gains do not.
 Version 8 named effects whatever the bootstrap said: a pose offset next to a compressible gel, for
 which a third of the repetitions ask, and a slippery skin, for which half do, where nothing was
 missing.
-
-Version 7 asked of every effect four times what simulated nulls gain, for what units differ in
-beyond the nuisances, even where the discrepancy's own presses show that.
-
-Version 6 refused a name for what one held-out trajectory alone, hardly beyond the floor, seemed to
-leave open.
-
-Version 5 named an effect at the end of its range whatever the data asked for, and took a gel that
-has come off its core for one that is 15 % thicker, the most that the range allows, in all bootstrap
-repetitions.
-
-Version 4 did not ask whether skin and force give the same size, and took a latency of the skin for
-a pose that is ahead of its time. Version 3 had fewer nuisances: the twin's own error, which looks
-like a gel 2 % thinner, a delay of 8 ms and a softer arm, was taken for such effects where there was
-enough data. Version 2 looked for a second effect only where the first explained too
-little, and beside that one alone: of two effects the smaller was never named. It judged by patterns
-alone what was left, and took a leaning base for a thinner gel. Version 1 had one limit for all
-effects, another covariance, and used the skin of shallow contacts.
 """
 
 from __future__ import annotations
@@ -119,14 +101,17 @@ def pattern_factor(measured: float, *, is_representative: bool) -> float:
     return max(MARGIN if is_representative and measured else PATTERNS_HEAVIER, measured)
 
 
+def opened_range(low: float, high: float, absent: float, end: float) -> tuple[float, float]:
+    """Return a range that goes on beyond one of its ends by `OPENED` of its way from the absent
+    effect."""
+    further = OPENED * (end - absent)
+    return low + min(further, 0.0), high + max(further, 0.0)
+
+
 def threshold_of(gains: list[float], alpha: float) -> float:
     """Return the gain that data without an effect exceed with probability alpha.
 
     Beyond the draws the tail is taken as exponential, as that of half a chi-square is.
-
-    Args:
-        gains: of simulated nulls.
-        alpha: the probability.
     """
     ordered = sorted(gains)
     count = len(ordered)

@@ -29,11 +29,6 @@ TWIN = "sensor_a.yaml"
 def sealed_text(path: Path, sha256: str, advice: str) -> str:
     """Return the text of a truth; to be called after the search of its set.
 
-    Args:
-        path: of the file.
-        sha256: of the text, as the index of the sets states it.
-        advice: what to do where the file was changed.
-
     Raises:
         ValueError: it was.
     """

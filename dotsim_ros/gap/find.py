@@ -9,14 +9,12 @@ import hashlib
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from dotsim_ros.data.data_set import DataSet, indenter_files, read_data_set
+from dotsim_ros.data.data_set import DataSet, read_data_set
 from dotsim_ros.data.measurement import holds_skin_or_force
-from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, EffectError
-from dotsim_ros.effects.library import effect_names, load_effects
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectError
 from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.gap.findings import Findings, OpticalFindings, Verdict
 from dotsim_ros.gap.images.find import find_optical, fit_noise_of_images, unusable_images
@@ -24,21 +22,18 @@ from dotsim_ros.gap.images.null import OpticalNull, load_optical_null, save_opti
 from dotsim_ros.gap.images.reading import holds_images
 from dotsim_ros.gap.presses.covariance import load_discrepancy
 from dotsim_ros.gap.presses.search import search_presses
-from dotsim_ros.gap.presses.search_state import GapRequest, Progress
+from dotsim_ros.gap.presses.search_state import CHANNELS, MECHANICAL, GapRequest, Progress
 from dotsim_ros.gap.report.write import write_report
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.io.cores import single_threaded
 from dotsim_ros.io.files import check_output_folder
 from dotsim_ros.io.replacement import finish_replacement
-from dotsim_ros.io.worker_pool.pool import Crew, check_workers
+from dotsim_ros.io.worker_pool.pool import Crew
 from dotsim_ros.specification import SensorSpecification, given_sensor
 from dotsim_ros.twin.simulator import check_is_quasi_static
 
-MECHANICAL = (SKIN, FORCE)
-CHANNELS = (*MECHANICAL, IMAGE)
 
-
-def channels_of(measured: Path) -> tuple[str, ...]:
+def channels_of(measured: Path | DataSet) -> tuple[str, ...]:
     """Return the channels that are used where none were asked for: skin and force, unless all that
     the bags of a data set hold is images, and the images where idle ones lie next to them."""
     if not all(holds_images(measured)):
@@ -97,60 +92,43 @@ def find_gap(
         ValueError: an argument that is out of range or names nothing, before anything is read of
             the data or written.
     """
-    # No file of the user's is run before the other arguments are known to be right.
-    _check_arguments(
-        channels=channels,
-        candidates=candidates,
-        known=effect_names(effects),
+    if budget == 0:
+        raise ValueError("budget is 0, expected 1 or more")
+    request = GapRequest(
+        measured=measured if isinstance(measured, DataSet) else Path(measured),
+        sensor=given_sensor(sensor),
+        directory=Path(),
+        reference=_path(reference),
+        indenters=_path(indenters),
+        effects=tuple(map(Path, effects)),
+        channels=tuple(channels or CHANNELS),
+        candidates=tuple(candidates),
         alpha=alpha,
         budget=budget,
         seed=seed,
         workers=workers,
+        discrepancy=_path(discrepancy),
+        optical_noise=_path(optical_noise),
     )
-    library = load_effects(effects, names=candidates or None)
-    if channels is not None and candidates:
-        shown = {IMAGE if library[name].image is not None else SKIN for name in candidates}
-        if not shown & {IMAGE if channel == IMAGE else SKIN for channel in channels}:
-            raise ValueError(_nothing_shows(candidates, channels))
-    for path in (indenters, discrepancy, optical_noise):
-        if path is not None and not Path(path).exists():
-            raise FileNotFoundError(f"there is nothing at {path}")
-    if indenters is not None and not indenter_files(Path(indenters)):
-        raise ValueError(f"indenters is {indenters}, expected a folder of meshes, NAME.stl each")
+    library = request.library()
+    _effects_of(request)
     # That a file of the user's cannot be read says nothing about the data.
-    load_discrepancy(_path(discrepancy))
-    if optical_noise is not None:
-        load_optical_null(optical_noise)
-    twin = given_sensor(sensor)
-    check_is_quasi_static(twin)
-    values_of(twin)
-    folder = measured.directory if isinstance(measured, DataSet) else Path(measured)
-    for data in (folder, reference):
-        if data is not None:
-            with suppress(ValueError):  # an index that cannot be read is a verdict
-                read_data_set(data)
-    if out is not None:
-        check_output_folder(out)
-        finish_replacement(out)
+    load_discrepancy(request.discrepancy)
+    if request.optical_noise is not None:
+        load_optical_null(request.optical_noise)
+    check_is_quasi_static(request.sensor)
+    values_of(request.sensor)
     overlay = None
     with tempfile.TemporaryDirectory() as temporary:
+        request = replace(request, directory=Path(temporary if out is None else out) / "run")
         try:
-            request = GapRequest(
-                measured=folder,
-                sensor=twin,
-                directory=Path(temporary if out is None else out) / "run",
-                reference=_path(reference),
-                indenters=_path(indenters),
-                effects=tuple(map(Path, effects)),
-                channels=tuple(channels or channels_of(folder)),
-                candidates=tuple(candidates),
-                alpha=alpha,
-                budget=budget,
-                seed=seed,
-                workers=workers,
-                discrepancy=_path(discrepancy),
-                optical_noise=_path(optical_noise),
-            )
+            request = _with_data(request)
+            if channels is None:
+                assert isinstance(request.measured, DataSet)
+                request = replace(request, channels=channels_of(request.measured))
+            if out is not None:
+                check_output_folder(out)
+                finish_replacement(out)
             findings, overlay = find_gap_with_images(request, progress or _silent)
         except EffectError:  # says nothing of the data
             raise
@@ -187,18 +165,17 @@ def fit_optical_noise(
     Raises:
         FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """
-    twin = given_sensor(sensor)
     with tempfile.TemporaryDirectory() as temporary:
         request = GapRequest(
             measured=Path(measured),
-            sensor=twin,
+            sensor=given_sensor(sensor),
             directory=Path(temporary if run_folder is None else run_folder),
             reference=_path(reference),
             indenters=_path(indenters),
             effects=tuple(map(Path, effects)),
             workers=workers,
         )
-        null = fit_noise_of_images(request, progress or _silent)
+        null = fit_noise_of_images(_with_data(request), progress or _silent)
     save_optical_null(null, Path(out))
     return null
 
@@ -211,40 +188,34 @@ def _silent(_step: str, _done: int, _total: int) -> None:
     """Show nothing."""
 
 
-def _check_arguments(
-    *,
-    channels: Sequence[str] | None,
-    candidates: Sequence[str],
-    known: Sequence[str],
-    alpha: float,
-    budget: int | None,
-    seed: int,
-    workers: Crew,
-) -> None:
-    """Refuse what no search could be run with.
+def _with_data(request: GapRequest) -> GapRequest:
+    """Return a request with the indices of its data sets read, which is done here alone.
 
     Raises:
-        ValueError: an argument is out of range or names nothing.
+        FileNotFoundError, ValueError: as `read_data_set`.
     """
-    strange = sorted(set(channels or ()) - set(CHANNELS))
-    if strange:
-        raise ValueError(f"no channel {', '.join(strange)}; known are {', '.join(CHANNELS)}")
-    unknown = sorted(set(candidates) - set(known))
-    if unknown:
-        raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(known)}")
-    if not 0.0 < alpha < 1.0:
-        raise ValueError(f"alpha is {alpha}, expected between 0 and 1")
-    check_workers(workers)
-    for name, count, least in (("budget", budget, 1), ("seed", seed, 0)):
-        if count is not None and count < least:
-            raise ValueError(f"{name} is {count}, expected {least} or more")
+    reference = None if request.reference is None else read_data_set(request.reference)
+    return replace(request, measured=read_data_set(request.measured), reference=reference)
 
 
-def _nothing_shows(candidates: Sequence[str], channels: Sequence[str]) -> str:
-    return (
-        f"none of {', '.join(candidates)} shows in {', '.join(channels)}; name another effect or "
-        "channel"
-    )
+def _effects_of(request: GapRequest) -> tuple[list[Effect], list[Effect]]:
+    """Return the effects to look for that show in skin or force, and in images.
+
+    Raises:
+        ValueError: none of the candidates shows in the channels.
+    """
+    library = request.library()
+    wanted = [library[name] for name in request.candidates] or list(library.values())
+    has_presses = any(channel in MECHANICAL for channel in request.channels)
+    mechanical = [effect for effect in wanted if has_presses and effect.image is None]
+    has_images = IMAGE in request.channels
+    optical = [effect for effect in wanted if has_images and effect.image is not None]
+    if not mechanical and not optical:
+        raise ValueError(
+            f"none of {', '.join(request.candidates)} shows in {', '.join(request.channels)}; "
+            "name another effect or channel"
+        )
+    return mechanical, optical
 
 
 def find_gap_with_images(
@@ -257,22 +228,14 @@ def find_gap_with_images(
         ValueError: data that cannot be used by any channel; the text says why and what to do.
     """
     begun_s = time.monotonic()
-    library = request.library()
-    unknown = sorted(set(request.candidates) - set(library))
-    if unknown:
-        raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
-    wanted = [library[name] for name in request.candidates] or list(library.values())
-    optical = [effect for effect in wanted if effect.image is not None]
-    mechanical = [effect for effect in wanted if effect.image is None]
-    channels = tuple(channel for channel in request.channels if channel != IMAGE)
+    mechanical, optical = _effects_of(request)
     findings, overlay = None, None
-    if channels and mechanical:
+    if mechanical:
+        channels = tuple(channel for channel in request.channels if channel != IMAGE)
         names = tuple(e.name for e in mechanical) if request.candidates else ()
         only = replace(request, channels=channels, candidates=names)
         findings, overlay = search_presses(only, progress)
-    if IMAGE not in request.channels or not optical:
-        if findings is None:
-            raise ValueError(_nothing_shows(request.candidates, request.channels))
+    if findings is not None and not optical:
         return findings, overlay
     try:
         seen, found, digest, solves = find_optical(request, optical, findings, overlay, progress)

@@ -8,11 +8,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, is_dataclass
 from enum import Enum
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
+from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.overlay import Estimate
 
 VERSION = 1
@@ -57,6 +59,11 @@ class Candidate:
     held_out_gain: float | None = None
     estimates: tuple[Estimate, ...] = ()
     limit: float = 0.0
+
+
+def candidate_of(effect: Effect) -> Candidate:
+    """Return an effect that the data do not excite."""
+    return Candidate(effect.name, effect.title, False, 0.0, effect.parameters[0].none or 0.0)
 
 
 @dataclass(frozen=True)
@@ -287,52 +294,24 @@ def as_record(findings: Findings) -> dict[str, Any]:
 
 
 def findings_of(record: Mapping[str, Any]) -> Findings:
-    """Return findings that `as_record` turned into a record.
+    """Return findings that `as_record` turned into a record; what an older one lacks is absent.
 
     Raises:
         ValueError: a record of another version.
     """
     if record.get("version") != VERSION:
         raise ValueError(f"findings of version {record.get('version')!r}, expected {VERSION}")
-    values = {key: value for key, value in record.items() if key != "version"}
-    values["verdict"] = Verdict(values["verdict"])
-    values["candidates"] = _candidates_of(values["candidates"])
-    for name, kind in (
-        ("calibrated", Estimate),
-        ("places", ResidualPlace),
-        ("gaps", ChannelGap),
-        ("fallback", ChannelGap),
-        ("pairs", Pair),
-    ):
-        values[name] = tuple(kind(**entry) for entry in values[name])
-    for name in ("named", "alternatives", "warnings", "trajectories", "locked"):
-        values[name] = tuple(values[name])
-    worst = values["worst"]
-    values["worst"] = None if worst is None else WorstFrame(**worst)
-    optical = values.get("optical")
-    values["optical"] = None if optical is None else _optical_of(optical)
-    return Findings(**values)
+    found: Findings = _read(Findings, record)
+    return found
 
 
-def _candidates_of(records: Iterable[Mapping[str, Any]]) -> tuple[Candidate, ...]:
-    return tuple(
-        Candidate(**{**c, "estimates": tuple(Estimate(**e) for e in c["estimates"])})
-        for c in records
-    )
-
-
-def _optical_of(record: Mapping[str, Any]) -> OpticalFindings:
-    gap = record["gap"]
-    lists = ("named", "alternatives", "warnings", "trajectories", "locked")
-    return OpticalFindings(
-        **{
-            **record,
-            **{name: tuple(record[name]) for name in lists},
-            # Older records lack it.
-            "not_tried": tuple(record.get("not_tried", ())),
-            "verdict": Verdict(record["verdict"]),
-            "candidates": _candidates_of(record["candidates"]),
-            "gap": None if gap is None else ChannelGap(**gap),
-            "tiles": tuple(TileGap(**tile) for tile in record["tiles"]),
-        }
-    )
+def _read(kind: Any, value: Any) -> Any:
+    """Return a value of an annotated type from what `asdict` and JSON make of it."""
+    if get_origin(kind) is tuple:
+        return tuple(_read(get_args(kind)[0], one) for one in value)
+    if get_origin(kind) is UnionType:
+        return None if value is None else _read(get_args(kind)[0], value)
+    if isinstance(kind, type) and is_dataclass(kind):
+        types = get_type_hints(kind)
+        return kind(**{name: _read(types[name], value[name]) for name in types if name in value})
+    return Verdict(value) if kind is Verdict else value

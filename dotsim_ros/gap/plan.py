@@ -18,10 +18,10 @@ from dotsim_ros.effects.effect import FORCE
 from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.decision import ALIKE, APART
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, centred
+from dotsim_ros.gap.presses.certainty import pairs_of
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy
 from dotsim_ros.gap.presses.evidence import Case, make_trajectories
 from dotsim_ros.gap.presses.inference import cosines, lengths
-from dotsim_ros.gap.presses.isolability import pairs_of
 from dotsim_ros.gap.presses.screening import excited_variants
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gap.presses.weighed import EFFECT as FORCE_SCALE

@@ -11,12 +11,28 @@ counts.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterable
+
 import numpy as np
 
 from dotsim_ros.io.arrays import FloatArray
 
 BOOTSTRAPS = 100
 """Draws behind an interval or a stability: a share of them is known to 5 %."""
+
+
+Contest = tuple[Callable[[FloatArray], str | None], Collection[str]]
+"""What returns the name that comes first where trajectories count so much (T,), None for none; and
+the names that are the same answer."""
+
+
+def stability(contests: Iterable[Contest], repetitions: FloatArray) -> float:
+    """Return the share of repetitions (draws, T) that give the same answer in all contests: one of
+    each effect that is named, next to the others."""
+    same = np.ones(len(repetitions), dtype=bool)
+    for winner, accepted in contests:
+        same &= [winner(counts) in accepted for counts in repetitions]
+    return float(same.mean())
 
 
 def bootstrap_weights(count: int, draws: int, random: np.random.Generator) -> FloatArray:

@@ -14,12 +14,16 @@ import base64
 import html
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.io.printable import boxes_for_missing_glyphs, one_line, printable
 from dotsim_ros.io.replacement import replace_files
 
@@ -81,6 +85,11 @@ class ReportImage:
     png: bytes
     alt: str
     width_px: int
+
+    @property
+    def base64(self) -> str:
+        """The content as a data URL takes it."""
+        return base64.b64encode(self.png).decode("ascii")
 
 
 @dataclass(frozen=True)
@@ -177,96 +186,66 @@ def write_page(directory: Path, page: Page) -> Path:
 
 def page_files(page: Page) -> dict[str, bytes]:
     """Return the files of a page by name: `report.html`, `report.md` and the latter's images."""
-    files = {f"{image.name}.png": image.png for image in images_of(page)}
-    texts = {MARKDOWN: as_markdown(page), HTML: as_html(page)}
+    return template_files("report/page.j2", images_of(page), page=page)
+
+
+def template_files(
+    template: str, images: Iterable[ReportImage], **values: object
+) -> dict[str, bytes]:
+    """Return the files of a page that a template below `params/` makes of values, by name:
+    `report.html`, `report.md` and its images.
+
+    The template imports `macros`, those of the format: `params/report/html.j2`, or
+    `markdown.j2` next to it.
+    """
+    files = {f"{image.name}.png": image.png for image in images}
+    texts = {MARKDOWN: _rendered(template, "markdown", **values)}
+    texts[HTML] = _rendered(template, "html", **values)
     return files | {name: printable(text).encode() for name, text in texts.items()}
 
 
 def as_html(page: Page) -> str:
     """Return a page as one HTML file."""
-    label = ""
-    if page.label:
-        label = f'<p class="label" style="background:{page.colour}">{html.escape(page.label)}</p>'
-    sections = "\n".join(_section_html(section) for section in page.sections)
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        # Without an icon of its own a browser asks the server for one.
-        '<link rel="icon" href="data:,">'
-        f"<title>{html.escape(page.title)}</title><style>{_CSS}</style></head>\n<body>"
-        f'<header><h1>{html.escape(page.title)}</h1>{label}<p class="lead">'
-        f"{html.escape(page.lead)}</p></header>\n<main>{sections}</main></body></html>\n"
-    )
+    return _rendered("report/page.j2", "html", page=page)
 
 
 def as_markdown(page: Page) -> str:
     """Return a page as Markdown; its images are PNG files next to it, under their names."""
-    label = f"**{_plain(page.label)}.** " if page.label else ""
-    parts = [f"# {_plain(page.title)}", f"{label}{_plain(page.lead)}"]
-    for section in page.sections:
-        parts.append(f"## {_plain(section.title)}")
-        parts += [block_markdown(block) for block in section.blocks]
-    return "\n\n".join(parts) + "\n"
-
-
-def _section_html(section: Section) -> str:
-    kind = ' class="half"' if section.is_half else ""
-    blocks = "\n".join(_block_html(block) for block in section.blocks)
-    return f"<section{kind}><h2>{html.escape(section.title)}</h2>\n{blocks}</section>"
-
-
-def _block_html(block: Block) -> str:
-    match block:
-        case Paragraph(text):
-            return f"<p>{html.escape(text)}</p>"
-        case Bullets(items):
-            return "<ul>" + "".join(f"<li>{html.escape(item)}</li>" for item in items) + "</ul>"
-        case Table(head, rows):
-            return _table_html(head, rows)
-        case Gallery(images):
-            return '<div class="gallery">' + "".join(map(_image_html, images)) + "</div>"
-
-
-def _table_html(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    top = "".join(f'<th scope="col">{html.escape(cell)}</th>' for cell in head)
-    body = "".join(
-        "<tr>"
-        + "".join(
-            f'<td data-label="{html.escape(name)}">{html.escape(cell)}</td>'
-            for name, cell in zip(head, row, strict=True)
-        )
-        + "</tr>"
-        for row in rows
-    )
-    return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def _image_html(image: ReportImage) -> str:
-    data = base64.b64encode(image.png).decode("ascii")
-    return (
-        f'<img alt="{html.escape(image.alt)}" width="{image.width_px}" '
-        f'src="data:image/png;base64,{data}">'
-    )
+    return _rendered("report/page.j2", "markdown", page=page)
 
 
 def block_markdown(block: Block) -> str:
     """Return a block as Markdown."""
-    match block:
-        case Paragraph(text):
-            return _plain(text)
-        case Bullets(items):
-            return "\n".join(f"- {_plain(item)}" for item in items)
-        case Table(head, rows):
-            shown = [[_plain(cell).replace("|", "\\|") for cell in line] for line in (head, *rows)]
-            lines = [shown[0], ["---"] * len(head), *shown[1:]]
-            return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        case Gallery(images):
-            return "\n\n".join(f"![{_plain(p.alt)}]({p.name}.png)" for p in images)
+    return _rendered("report/block.j2", "markdown", block=block).strip()
+
+
+def _rendered(template: str, layout: str, **values: object) -> str:
+    text = _environment(layout == "html").get_template(template)
+    rendered = text.render(macros=f"report/{layout}.j2", **values)
+    return re.sub(r"\n{3,}", "\n\n", rendered).strip() + "\n"
+
+
+@cache
+def _environment(is_html: bool) -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(parameter_path("report").parent),
+        autoescape=is_html,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"one_line": _one_line, "plain": _plain, "cell": _cell}
+    return environment
 
 
 _MARKS = re.compile(r"[\\`*\[$~]|(?<![^\W_])_|_(?![^\W_])|^[#+-](?=[#\s-]|$)")
 """What Markdown would read as markup: underscores at the ends of words alone, and what begins a
 heading, a list or a rule."""
+
+
+def _one_line(text: str) -> str:
+    """Return text, or what is HTML already, on one line."""
+    return type(text)(" ".join(text.split()))
 
 
 def _plain(text: str) -> str:
@@ -275,38 +254,5 @@ def _plain(text: str) -> str:
     return html.escape(escaped, quote=False)
 
 
-_CSS = """
-*{box-sizing:border-box}
-body{font:16px/1.45 system-ui,-apple-system,"Segoe UI",Roboto,sans-serif;color:#1b2430;
-background:#f4f6f8;margin:0;overflow-wrap:anywhere}
-header,main{max-width:1220px;margin:0 auto;padding:0 16px}
-header{padding-top:18px}
-h1{font-size:17px;font-weight:600;color:#5a6675;margin:0 0 8px}
-h2{font-size:16px;margin:0 0 8px}
-.label{display:inline-block;color:#fff;font-weight:600;border-radius:4px;padding:2px 10px;margin:0}
-.lead{font-size:22px;line-height:1.3;font-weight:600;margin:8px 0 16px}
-main{display:grid;grid-template-columns:repeat(2,minmax(0,1fr));gap:14px;padding-bottom:30px}
-section{background:#fff;border:1px solid #dbe1e7;border-radius:6px;padding:12px 16px;
-grid-column:1/-1;min-width:0}
-section.half{grid-column:span 1}
-p,ul{margin:0 0 10px}
-ul{padding-left:1.2em}
-.gallery{display:flex;flex-wrap:wrap;gap:8px;align-items:flex-start}
-img{max-width:100%;height:auto;display:block}
-table{border-collapse:collapse;width:100%;font-size:14px;margin:0 0 10px}
-td,th{padding:4px 10px 4px 0;text-align:left;border-bottom:1px solid #e3e8ed;vertical-align:top}
-th{color:#5a6675;font-weight:600}
-@media (max-width:760px){
-header,main{padding-left:8px;padding-right:8px}
-main{grid-template-columns:minmax(0,1fr);gap:8px}
-section,section.half{grid-column:1/-1;padding:10px}
-.lead{font-size:19px}
-thead{display:none}
-table,tbody,tr,td{display:block}
-tr{border-bottom:1px solid #c9d2da;padding:6px 0}
-td{border:0;padding:1px 0;display:grid;grid-template-columns:43% minmax(0,1fr);column-gap:8px}
-td::before{content:attr(data-label);color:#5a6675}
-td:first-child{display:block;font-weight:600}
-td:first-child::before{content:none}
-}
-"""
+def _cell(text: str) -> str:
+    return _plain(text).replace("|", "\\|")

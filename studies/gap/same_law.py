@@ -72,12 +72,11 @@ def _measured(
 ) -> SameLaw:
     case = presses.case
     hidden, _ = case.change_everywhere(variant, size)
-    altered = case.with_trajectories(
-        [
-            replace(t, observed=t.observed + change)
-            for t, change in zip(case.trajectories, hidden, strict=True)
-        ]
-    )
+    trajectories = [
+        replace(t, observed=t.observed + change)
+        for t, change in zip(case.trajectories, hidden, strict=True)
+    ]
+    altered = replace(case, trajectories=trajectories)
     chosen = draw_presses(len(case.trajectories), random)
     draw = int(random.integers(2**31))
     search = search_of(altered, chosen, source.request(draw), draw, presses.discrepancy)

@@ -331,7 +331,7 @@ def _decide(
         observed = t.observed + change
         observed[:, 3 * PATCH_COUNT :] *= stiffer
         trajectories.append(replace(t, observed=observed))
-    altered = case.with_trajectories(trajectories)
+    altered = replace(case, trajectories=trajectories)
     draw = int(random.integers(2**31))
     search = search_of(altered, chosen, source.request(draw), draw, presses.discrepancy)
     ranked, looked_at = (screen(search, each) for each in (presses.variants, presses.screened))

@@ -148,15 +148,6 @@ def test_a_gel_that_softens_is_named_and_closes_the_gap(tmp_path: Path, run: Pat
     assert overlay.effects[0].name == "mullins_softening"
 
 
-def test_a_gel_that_softens_more_than_any_does_is_unknown(tmp_path: Path, run: Path) -> None:
-    findings, overlay = searched(tmp_path, run, ("softened", 0.6))
-    assert findings.verdict is Verdict.UNKNOWN
-    assert overlay is None
-    assert "Mullins softening, but the data ask for share = 0." in findings.sentence.replace(
-        "mullins", "Mullins"
-    )
-
-
 def test_crosstalk_that_no_effect_imitates_is_unknown(tmp_path: Path, run: Path) -> None:
     findings, overlay = searched(tmp_path, run, ("crosstalk", 0.5))
     assert findings.verdict is Verdict.UNKNOWN
@@ -165,14 +156,3 @@ def test_crosstalk_that_no_effect_imitates_is_unknown(tmp_path: Path, run: Path)
     worst = max((p for p in findings.places if p.trajectory == "all"), key=lambda p: p.before)
     assert worst.channel == "force"
     assert np.isfinite(worst.before)
-
-
-def test_two_effects_at_once_are_both_named(tmp_path: Path, run: Path) -> None:
-    # With a set of 0.08 the softening alone explains these two trajectories.
-    findings, overlay = searched(tmp_path, run, ("softened", 0.3), ("set", 0.1))
-    assert set(findings.named) == {"mullins_softening", "permanent_set"}
-    assert findings.verdict is Verdict.NAMED
-    assert overlay is not None
-    assert len(overlay.effects) == 2
-    for gap in findings.gaps:
-        assert gap.after <= 1.02 * gap.recalibrated

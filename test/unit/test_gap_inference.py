@@ -65,27 +65,6 @@ def test_a_size_and_a_nuisance_are_found_within_their_errors(random: np.random.G
     assert fit(seen, nothing(seen)).objective > found.objective + 100.0
 
 
-def test_a_size_stays_within_its_bounds(random: np.random.Generator) -> None:
-    evidence = evidence_of(random)
-    column = random.standard_normal(len(evidence.residual))
-    seen = evidence.with_residual(-2.0 * column)
-    found = fit(seen, column[:, None], np.array([0.0]), np.array([5.0]))
-    assert found.size[0] == 0.0
-    assert found.objective == pytest.approx(fit(seen, nothing(seen)).objective)
-
-
-def test_a_prior_keeps_what_the_data_do_not_tell_at_its_centre(
-    random: np.random.Generator,
-) -> None:
-    evidence = evidence_of(random)
-    blind = Evidence(
-        random.standard_normal(len(evidence.residual)),
-        np.zeros_like(evidence.nuisance),
-        evidence.trajectory,
-    )
-    assert np.allclose(fit(blind, nothing(blind)).nuisance, 0.0)
-
-
 def test_one_bad_trajectory_does_not_name_an_effect(random: np.random.Generator) -> None:
     evidence = evidence_of(random)
     column = random.standard_normal(len(evidence.residual))
@@ -114,14 +93,6 @@ def test_nulls_have_unit_noise_and_the_priors_nuisances(random: np.random.Genera
     drawn = np.stack([draw_null(evidence, random) for _ in range(400)])
     expected = 1.0 + np.sum(evidence.nuisance**2, axis=1)
     assert np.mean(drawn.var(axis=0) / expected) == pytest.approx(1.0, abs=0.05)
-
-
-def test_a_part_of_the_evidence_is_that_of_its_trajectories(random: np.random.Generator) -> None:
-    evidence = evidence_of(random).with_residual(np.arange(float(TRAJECTORIES * EACH)))
-    part = evidence.of([4, 4, 1])
-    assert part.trajectory.tolist() == [0] * EACH + [1] * EACH + [2] * EACH
-    assert part.residual[0] == 4 * EACH
-    assert np.array_equal(part.residual, evidence.residual[evidence.rows_of([4, 4, 1])])
 
 
 def test_the_threshold_is_the_nulls_quantile_and_grows_beyond_their_number() -> None:
@@ -199,13 +170,6 @@ def test_a_bootstrap_leaves_no_trajectory_out(random: np.random.Generator) -> No
     # A share of five that is uniform on all of them: (n - 1) / (n + 1) of variance 1.
     assert weights.mean(axis=0) == pytest.approx(np.ones(5), abs=0.06)
     assert weights.var(axis=0) == pytest.approx(np.full(5, 4.0 / 6.0), rel=0.15)
-
-
-def test_a_bootstrap_estimates_the_error_of_a_mean() -> None:
-    random = np.random.default_rng(2)
-    values = random.normal(3.0, 2.0, 40)
-    means = bootstrap_weights(40, 4000, random) @ values / 40
-    assert means.std() == pytest.approx(values.std() / np.sqrt(41.0), rel=0.05)
 
 
 def test_the_evidence_of_many_data_is_that_of_the_integral(random: np.random.Generator) -> None:

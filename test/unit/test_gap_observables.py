@@ -15,7 +15,6 @@ from dotsim_ros.gap.presses.observables import (
     SIZE,
     observe,
     places_of,
-    regions_of_observables,
 )
 from dotsim_ros.gap.presses.patterns import LEANING, patterns
 from dotsim_ros.geometry.indenter import load_indenter
@@ -103,12 +102,6 @@ def test_a_slide_there_and_back_has_the_axes_of_its_way_out(
     axes = places_of(recording_of(out, [0.0, 0.4, 0.5, 0.6, 0.7, 0.8]), skin).axes
     assert np.allclose(axes[1], way)
     assert np.allclose(axes @ axes.T, np.eye(3))
-
-
-def test_every_observable_has_a_region() -> None:
-    regions = regions_of_observables()
-    assert len(regions) == SIZE
-    assert set(regions) == {"apex", "contact", "rim", "far", "base", "load"}
 
 
 def test_patterns_lean_with_the_force_parallel_to_the_base_whatever_the_axes(

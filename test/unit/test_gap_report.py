@@ -16,18 +16,28 @@ from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-import numpy as np
 import pytest
 from gap_findings import EXAMPLES, named, no_gap, of_set, places, unknown
 from PIL import Image
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.effects.overlay import FILE_NAME, FoundEffect, Overlay, read_overlay
-from dotsim_ros.gap.findings import Findings, ResidualPlace, Verdict, as_record, findings_of
+from dotsim_ros.effects.overlay import FILE_NAME, Estimate, FoundEffect, Overlay, read_overlay
+from dotsim_ros.gap.find import combined
+from dotsim_ros.gap.findings import (
+    Candidate,
+    ChannelGap,
+    Findings,
+    OpticalFindings,
+    ResidualPlace,
+    TileGap,
+    Verdict,
+    as_record,
+    findings_of,
+)
 from dotsim_ros.gap.report.figures import heatmap
+from dotsim_ros.gap.report.page import report_files
 from dotsim_ros.gap.report.places import by_phase, by_trajectory
-from dotsim_ros.gap.report.sections import page_of
 from dotsim_ros.gap.report.write import write_report
 from dotsim_ros.io.page import (
     Bullets,
@@ -36,8 +46,6 @@ from dotsim_ros.io.page import (
     Table,
     as_html,
     as_markdown,
-    images_of,
-    page_figure,
 )
 from dotsim_ros.io.replacement import MANIFEST, replace_files
 
@@ -95,8 +103,8 @@ def test_the_finished_report_that_is_shipped_names_its_effect_and_its_command(
     assert "--example shows a finished report: leave out --alpha" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_every_verdict_is_reported_with_images_that_are_whole(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["named", "unusable", "without_skin"])
+def test_a_report_needs_no_other_file_and_its_images_are_whole(name: str, tmp_path: Path) -> None:
     findings = EXAMPLES[name]()
     path = write_report(tmp_path, findings, effects=load_effects())
 
@@ -120,16 +128,13 @@ def test_every_verdict_is_reported_with_images_that_are_whole(name: str, tmp_pat
     assert "http" not in path.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", ["set", "without_skin"])
 def test_findings_come_back_from_json(name: str) -> None:
     findings = EXAMPLES[name]()
-    assert findings_of(json.loads(json.dumps(as_record(findings)))) == findings
-
-
-def test_the_report_holds_the_findings_and_their_origin(tmp_path: Path) -> None:
-    write_report(tmp_path, no_gap(), effects={})
-    assert findings_of(json.loads((tmp_path / "findings.json").read_text())) == no_gap()
-    assert json.loads((tmp_path / "provenance.json").read_text())["commit"]
+    record = json.loads(json.dumps(as_record(findings)))
+    assert findings_of(record) == findings
+    with pytest.raises(ValueError, match="version 7, expected 1"):
+        findings_of({**record, "version": 7})
 
 
 def files_below(folder: Path) -> dict[str, bytes]:
@@ -141,8 +146,10 @@ def test_a_report_leaves_nothing_of_the_report_before(tmp_path: Path) -> None:
     slip = Overlay(
         "sensor_a", "0123", (FoundEffect("coulomb_slip", named().candidates[0].estimates),)
     )
+    before = replace(named(), worst=None, places=places()[:8])
+    after = replace(no_gap(), places=(), gaps=())
     again, fresh = tmp_path / "again", tmp_path / "fresh"
-    write_report(again, named(), effects=load_effects(), overlay=slip)
+    write_report(again, before, effects=load_effects(), overlay=slip)
     old = set(files_below(again))
     assert {"phases_after.png", FILE_NAME} <= old
     assert read_overlay(again / FILE_NAME) == slip
@@ -155,9 +162,11 @@ def test_a_report_leaves_nothing_of_the_report_before(tmp_path: Path) -> None:
     for name, content in own.items():
         (again / name).parent.mkdir(parents=True, exist_ok=True)
         (again / name).write_bytes(content)
-    write_report(again, no_gap(), effects=load_effects())
-    write_report(fresh, no_gap(), effects=load_effects())
+    write_report(again, after, effects=load_effects())
+    write_report(fresh, after, effects=load_effects())
     left = files_below(again)
+    assert findings_of(json.loads(left["findings.json"])) == after
+    assert json.loads(left["provenance.json"])["commit"]
     assert set(left) == set(files_below(fresh)) | set(own)
     assert {name: left[name] for name in own} == own
     assert old - set(left), "the second report has as many images as the first"
@@ -177,17 +186,17 @@ def test_files_that_no_report_wrote_are_left_alone(tmp_path: Path) -> None:
         assert set(files_below(folder)) == {"b.png", MANIFEST}
 
 
-def test_findings_of_another_version_are_refused() -> None:
-    with pytest.raises(ValueError, match="version 7, expected 1"):
-        findings_of({**as_record(no_gap()), "version": 7})
+def plain(findings: Findings) -> Findings:
+    """Return findings without what is drawn: an image takes a second."""
+    return replace(findings, worst=None, places=(), gaps=())
 
 
 def text_of(findings: Findings) -> str:
-    return read(as_html(page_of(findings, {}, load_effects()))).text
+    return read(report_files(findings, {}, load_effects())["report.html"].decode()).text
 
 
 def test_a_named_effect_is_reported_with_its_numbers() -> None:
-    text = text_of(replace(named(), worst=None))
+    text = text_of(replace(named(), worst=None, places=()))
     assert "Effect named" in text
     assert "friction_ratio = 1.52 (1.41 to 1.66)" in text
     assert "Share of the gap closed on the held-out trajectories: 96 % (91 % to 99 %)" in text
@@ -199,7 +208,7 @@ def test_a_named_effect_is_reported_with_its_numbers() -> None:
 
 
 def test_a_set_comes_with_what_would_separate_it() -> None:
-    text = text_of(replace(of_set(), places=()))
+    text = text_of(plain(of_set()))
     assert "slides in two opposite directions" in text
     assert "do not distinguish Coulomb slip at another friction from: Pose offset" in text
     assert "60 % of bootstrap repetitions" in text
@@ -207,26 +216,20 @@ def test_a_set_comes_with_what_would_separate_it() -> None:
 
 
 def test_nothing_named_has_no_after() -> None:
-    page = page_of(unknown(), {}, {})
-    assert not [image.name for image in images_of(page) if "after" in image.name]
-    assert "No effect was added" in as_markdown(page)
+    fallback = (ChannelGap("force", "N", 0.31, 0.22, 0.1, 0.04),)
+    findings = replace(unknown(), worst=None, places=places()[:8], fallback=fallback, stability=0.4)
+    files = report_files(findings, {}, {})
+    assert not [name for name in files if "after" in name]
+    text = files["report.md"].decode()
+    assert "No effect was added" in text
+    assert "changes the residual of the held-out trajectories: force 0.22 N to 0.1 N. It is" in text
+    assert "expected 67 % at least to name it" in text
 
 
 @pytest.mark.parametrize("verdict", list(Verdict))
 def test_every_verdict_renders_without_anything_else(verdict: Verdict) -> None:
     findings = Findings(verdict, "A sentence.")
     assert findings.sentence in text_of(findings)
-
-
-def test_places_are_summed_over_what_is_not_shown() -> None:
-    table = by_phase(places())
-    assert table.columns == ("idle", "load", "hold", "slide", "release")
-    row, column = table.rows.index("skin, rim"), table.columns.index("slide")
-    parts = [p for p in places() if (p.channel, p.region, p.phase) == ("skin", "rim", "slide")]
-    assert table.before[row, column] == pytest.approx(
-        math.sqrt(np.mean([part.before**2 for part in parts]))
-    )
-    assert by_trajectory(places()).rows[0] == "slide_1"
 
 
 def test_a_stated_sum_is_used_and_not_counted_again() -> None:
@@ -257,11 +260,12 @@ def test_many_regions_and_trajectories_are_summed_up_for_a_narrow_image() -> Non
 
 def test_many_warnings_are_counted_first_and_listed_later() -> None:
     warnings = tuple(f"Warning number {k}." for k in range(20))
-    page = page_of(replace(named(), worst=None, places=(), warnings=warnings), {}, {})
-    titles = [section.title for section in page.sections]
-    assert "20 warnings limit what can be concluded" in as_markdown(page).split("## Locked")[0]
-    assert titles.index("Warnings: what cannot be concluded") > titles.index("What remains")
-    assert all(warning in as_html(page) for warning in warnings)
+    files = report_files(replace(plain(named()), warnings=warnings), {}, {})
+    text = files["report.md"].decode()
+    first, rest = text.split("## Candidates by rank")
+    assert "20 warnings limit what can be concluded" in first
+    assert "\n## Warnings: what cannot be concluded\n\n- Warning number 0.\n- " in rest
+    assert all(warning in files["report.html"].decode() for warning in warnings)
 
 
 def test_text_is_never_taken_for_markup() -> None:
@@ -275,6 +279,86 @@ def test_text_is_never_taken_for_markup() -> None:
     assert "[x]" not in markdown.replace("\\[x]", "")
 
 
-def test_a_figure_too_wide_for_a_phone_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"expected at most 3\.6"), page_figure(9.0, 3.0):
-        pass
+def markdown_of(findings):
+    """Return the report without what is drawn of skin and force: an image takes a second."""
+    return report_files(plain(findings), {}, load_effects())["report.md"].decode()
+
+
+def test_effects_that_were_not_tried_are_in_the_report_and_the_record():
+    found = replace(optical(Verdict.NO_GAP), not_tried=("my_tint",))
+    both = combined(no_gap(), found)
+    assert findings_of(as_record(both)) == both
+    text = markdown_of(both)
+    assert "## Not tried" in text
+    assert "my_tint" in text
+    assert "--fit-optical-noise" in text
+    older = as_record(both)
+    del older["optical"]["not_tried"]
+    assert findings_of(older).optical.not_tried == ()
+
+
+def optical(verdict):
+    """Return a part of the images with a verdict."""
+    found = verdict in (Verdict.NAMED, Verdict.SET)
+    loss = Estimate("edge_loss", "", 0.1, 0.08, 0.12)
+    vignetting = Candidate(
+        "vignetting", "Vignetting", True, 88.0, 0.1, 0.9, None, (loss,) if found else ()
+    )
+    return OpticalFindings(
+        verdict,
+        f"Images: {verdict.value}.",
+        named=("vignetting",) if found else (),
+        alternatives=("gamma",) if verdict is Verdict.SET else (),
+        statistic=88.0,
+        threshold=11.0,
+        candidates=(vignetting, Candidate("motion_blur", "Motion blur", False, 0.0, 0.0)),
+        gap=ChannelGap("image", "levels", 2.0, 1.9, 0.8, 0.8),
+        share_closed=0.97 if found else None,
+        share_closed_low=0.9 if found else None,
+        share_closed_high=1.0 if found else None,
+        stability=1.0 if found else None,
+        tiles=(TileGap(0.4, 0.5, 3.0, 1.0), TileGap(0.6, 0.5, 2.0, 1.0)),
+        warnings=("2 trajectories with images are few",),
+        trajectories=("idle", "press_0"),
+        frame_count=1 + 4,
+        noise_source="19 trajectories of sensor_a",
+    )
+
+
+@pytest.mark.parametrize(
+    ("gel", "images", "expected"),
+    [
+        (no_gap, Verdict.NO_GAP, Verdict.NO_GAP),
+        (no_gap, Verdict.NAMED, Verdict.NAMED),
+        (named, Verdict.UNKNOWN, Verdict.NAMED),
+        (unknown, Verdict.NO_GAP, Verdict.UNKNOWN),
+        (no_gap, Verdict.UNKNOWN, Verdict.UNKNOWN),
+        (no_gap, Verdict.UNUSABLE, Verdict.NO_GAP),
+        (named, Verdict.UNUSABLE, Verdict.NAMED),
+    ],
+)
+def test_both_parts_make_one_verdict(gel, images, expected):
+    both = combined(gel(), optical(images))
+    assert both.verdict is expected
+    assert both.sentence.startswith(gel().sentence)
+    assert both.sentence.endswith(f"Images: {images.value}.")
+    assert both.named == gel().named + optical(images).named
+    assert findings_of(as_record(both)) == both
+    assert "2 trajectories with images are few" in both.warnings
+    # Images alone.
+    assert combined(replace(no_gap(), sentence=""), optical(images)).verdict is images
+
+
+def test_the_report_keeps_the_parts_apart(tmp_path: Path):
+    both = combined(named(), optical(Verdict.NAMED))
+    text = markdown_of(both)
+    assert "## Images" in text
+    assert "1. Vignetting (vignetting), added" in text
+    assert "Share of the images' gap closed, in expected deviations of all tiles: 97 %" in text
+    assert "19 trajectories of sensor_a" in text
+    assert "1. Coulomb slip at another friction (coulomb_slip), added" in text
+    # What no image excites stands next to what no press does.
+    assert "| Motion blur |" in text
+    refused = markdown_of(combined(no_gap(), optical(Verdict.UNUSABLE)))
+    assert "Images: unusable." in refused
+    assert "Images: candidates by rank" not in refused

@@ -22,8 +22,7 @@ from dotsim_ros.effects.overlay import active_effects
 from dotsim_ros.gap.findings import Findings, Verdict, as_record, findings_of
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gap.presses.weighed import is_wrong, weighed_scale, with_scale
-from dotsim_ros.gap.report.sections import page_of
-from dotsim_ros.io.page import as_markdown
+from dotsim_ros.gap.report.page import report_files
 from dotsim_ros.specification import load_sensor
 
 GRAVITY = 9.80665
@@ -127,7 +126,9 @@ def test_a_wrong_scale_is_named_beside_what_the_presses_show(
     (active,) = active_effects(overlay, library)
     assert active.values == {"scale": 0.8}
     assert "by the known weight (weight_0): scale = 0.8 [0.792, 0.808]" in found.sentence
-    text = as_markdown(page_of(found, {}, library))
+    text = report_files(replace(found, worst=None, places=(), gaps=()), {}, library)[
+        "report.md"
+    ].decode()
     assert "Another scale of the force (force_scale), added" in text
     assert found.sentence.endswith(presses().sentence)
 

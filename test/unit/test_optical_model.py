@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from optical_presses import dented
 
-from dotsim_ros.effects.effect import Active
-from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.images.model import TwinCamera, resized
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.specification import load_sensor
@@ -70,12 +68,6 @@ def test_a_film_knows_how_far_the_skin_is_and_where_it_faces(model, film):
     np.testing.assert_allclose(length[np.isfinite(length)], 1.0, rtol=1e-5)
 
 
-def test_times_are_those_of_the_frames_and_of_the_session(film):
-    seen = list(film.seen())
-    assert [one.stamp_s for one in seen] == STAMP_S.tolist()
-    assert [one.session_s for one in seen] == pytest.approx([20.0, 20.1, 20.3])
-
-
 def test_the_flow_is_that_of_the_skin(film):
     assert not film.flow_px_s[0].any()
     # A turn about an axis nearly that of the camera: pixels move across the radius, by the angle.
@@ -88,15 +80,6 @@ def test_the_flow_is_that_of_the_skin(film):
     assert not flow[0, 0].any()
 
 
-def test_effects_act_on_every_frame_with_fresh_filters(film):
-    effect = load_effects()["ambient_light"]
-    active = [Active(effect, {"added_share": 0.02})]
-    expected = np.clip(film.pixels + 5.1, 0.0, 255.0)
-    np.testing.assert_allclose(film.with_effects(active), expected, rtol=1e-5)
-    np.testing.assert_allclose(film.with_effects(active), expected, rtol=1e-5)
-    np.testing.assert_array_equal(film.with_effects([]), film.pixels)
-
-
 def test_a_film_keeps_its_view_at_another_size(film):
     half = resized(film, WIDTH // 2, HEIGHT // 2)
     assert half.pixels.shape == (3, HEIGHT // 2, WIDTH // 2, 3)
@@ -107,14 +90,6 @@ def test_a_film_keeps_its_view_at_another_size(film):
         np.abs(half.flow_px_s[2]).sum(), np.abs(film.flow_px_s[2]).sum() / 8.0, rtol=0.1
     )
     assert resized(film, WIDTH, HEIGHT) is film
-
-
-def test_the_unit_s_own_idle_frame_takes_the_twin_s_place(sensor, model):
-    darker = (0.8 * model.idle).astype(np.uint8)
-    own = TwinCamera(sensor, width=WIDTH, height=HEIGHT, idle=darker)
-    rest = skin_of(sensor.gel).rest_position_m
-    film = own.film(rest[None], np.zeros(1), 0.0)
-    np.testing.assert_allclose(film.pixels[0], darker, atol=0.5)
 
 
 def test_a_image_of_another_shape_is_refused(sensor):

@@ -9,6 +9,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -167,14 +168,16 @@ def test_unusable_data_keep_the_good_report_beside_theirs(
     tmp_path: Path, answered: Callable[..., None]
 ) -> None:
     library = load_effects()
-    write_report(tmp_path, named(), effects=library, overlay=overlay())
+    write_report(
+        tmp_path, replace(named(), worst=None, places=()), effects=library, overlay=overlay()
+    )
     good = shown(tmp_path)
     for _ in range(2):
         write_report(tmp_path, unusable(), effects=library)
         assert FILE_NAME not in shown_files(tmp_path)
         assert shown(tmp_path / REPORT_BEFORE) == good
     assert sorted(p.name for p in tmp_path.iterdir() if p.is_dir()) == [REPORT_BEFORE]
-    write_report(tmp_path, no_gap(), effects=library)
+    write_report(tmp_path, replace(no_gap(), places=()), effects=library)
     write_report(tmp_path, unusable(), effects=library)
     assert (tmp_path / f"{REPORT_BEFORE}2" / "findings.json").is_file()
     assert shown(tmp_path / REPORT_BEFORE) == good

@@ -49,13 +49,7 @@ class Shot:
     def of_frames(self, frames: NDArray[np.integer]) -> Shot:
         """Return some of the frames; the films keep how fast the image moved there."""
         film = replace(
-            self.film,
-            stamp_s=self.film.stamp_s[frames],
-            session_s=self.film.session_s[frames],
-            pixels=self.film.pixels[frames],
-            flow_px_s=self.film.flow_px_s[frames],
-            depth_m=self.film.depth_m[frames],
-            normal=self.film.normal[frames],
+            self.film, **{name: getattr(self.film, name)[frames] for name in Film.BY_FRAME}
         )
         return replace(
             self,
@@ -74,11 +68,15 @@ class OpticalCase:
         shots: `IDLE` first.
         meter: that compared them.
         camera: (T, 6) deviation by the camera's noise; NaN where there is a single idle image.
+        solve_count: of the twin's skins.
+        left_out: what could not be solved.
     """
 
     shots: tuple[Shot, ...]
     meter: TileMeter
     camera: FloatArray
+    solve_count: int = 0
+    left_out: tuple[str, ...] = ()
 
     def without_contact(self) -> OpticalCase:
         """Return the frames in which nothing touches the skin."""

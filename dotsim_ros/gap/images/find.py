@@ -15,11 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.measurement import one_of_each, protocol_of
 from dotsim_ros.effects.effect import IMAGE, Effect
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
-from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import (
     Candidate,
     ChannelGap,
@@ -27,6 +27,7 @@ from dotsim_ros.gap.findings import (
     OpticalFindings,
     TileGap,
     Verdict,
+    candidate_of,
 )
 from dotsim_ros.gap.images.case import (
     HEIGHT,
@@ -67,59 +68,56 @@ RESAMPLED = 200
 def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
     """Return what the images of a data set show in which nothing is missing.
 
-    Args:
-        request: the data set, its twin and indenters; with a reference, that idle frame is the
-            twin's.
-        progress: told the steps.
-
     Raises:
         FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """
-    case, _ = _case_without_gap(request, progress)
-    count = len(case.shots) - 1
+    case = case_of(request, progress)
+    _check_enough(case)
     effects = [e for e in request.library().values() if e.image is not None]
-    source = f"{count} trajectories of {request.measured.name} with {request.sensor.name}"
+    name = read_data_set(request.measured).directory.name
     return fit_optical_null(
         case,
         effects,
         sensor=request.sensor.name,
-        source=source,
+        source=f"{len(case.shots) - 1} trajectories of {name} with {request.sensor.name}",
         progress=lambda done, total: progress("noise of the images", done, total),
     )
 
 
-def case_of(request: GapRequest, progress: Progress) -> OpticalCase:
-    """Return the images of a data set next to those of the twin without any effect.
+def case_of(
+    request: GapRequest,
+    progress: Progress,
+    *,
+    taken: tuple[MeasuredImages, TwinCamera] | None = None,
+    overlay: Overlay | None = None,
+) -> OpticalCase:
+    """Return the images of a data set next to those of the twin.
+
+    Args:
+        request: what is searched.
+        progress: told the steps.
+        taken: as `_images_and_model`, where they were read before.
+        overlay: effects of the gel; None for none.
 
     Raises:
         FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """
-    return _case_and_solves(request, progress)[0]
-
-
-def _case_and_solves(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
-    images, model = _images_and_model(request)
-    skins, solves, _ = _skins(request, images, None, progress)
+    images, model = taken or _images_and_model(request)
+    skins, solves, left_out = _skins(request, images, overlay, progress)
     case = optical_case(
         images, model, skins, progress=lambda done, total: progress("images", done, total)
     )
-    return case, solves
+    return replace(case, solve_count=solves, left_out=tuple(left_out))
 
 
-def _case_without_gap(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
-    """Return the images of a data set in which nothing is missing, and how many solves it took.
-
-    Raises:
-        FileNotFoundError, ValueError: as `case_of`; or too few trajectories.
-    """
-    case, solves = _case_and_solves(request, progress)
+def _check_enough(case: OpticalCase) -> None:
+    """Refuse images without a gap from which a model's error cannot be estimated."""
     count = len(case.shots) - 1
     if count <= LEAST_TRAJECTORIES:
         raise ValueError(
             f"{count} trajectories with images are too few to tell what a model errs by, "
             f"expected more than {LEAST_TRAJECTORIES}"
         )
-    return case, solves
 
 
 def _null_of(
@@ -132,17 +130,18 @@ def _null_of(
     unknown = [effect for effect in effects if not null.knows(effect)]
     if not unknown:
         return null, [], 0
-    reason, solves = "", 0
+    reason = ""
     if request.reference is not None:
         try:
-            reference = replace(request, measured=request.reference)
-            case, solves = _case_without_gap(reference, progress)
-            source = f"{len(case.shots) - 1} trajectories of {request.reference.name}"
+            case = case_of(replace(request, measured=request.reference), progress)
+            _check_enough(case)
+            name = read_data_set(request.reference).directory.name
+            source = f"{len(case.shots) - 1} trajectories of {name}"
             told = wording.learnt_from_reference(unknown, source)
-            return null.with_effects(unknown, case), [told], solves
+            return null.with_effects(unknown, case), [told], case.solve_count
         except (FileNotFoundError, ValueError) as error:
             reason = str(error)
-    return null, [wording.not_tried_warning(unknown, LEAST_TRAJECTORIES + 1, reason)], solves
+    return null, [wording.not_tried_warning(unknown, LEAST_TRAJECTORIES + 1, reason)], 0
 
 
 def unusable_images(reason: str) -> OpticalFindings:
@@ -160,7 +159,7 @@ def find_optical(
     """Return the optical part, its effects for the overlay, the hash of the images, and how many
     solves it took."""
     images, model = _images_and_model(request)
-    null, limits, reference_solves = _null_of(request, effects, progress)
+    null, limits, solves = _null_of(request, effects, progress)
     warnings = [*images.warnings, *limits]
     known = [effect for effect in effects if null.knows(effect)]
     not_tried = [effect for effect in effects if effect not in known]
@@ -170,12 +169,10 @@ def find_optical(
         nothing = OpticalFindings(
             Verdict.UNUSABLE, sentence, not_tried=names, warnings=tuple(warnings)
         )
-        return nothing, (), images.digest, reference_solves
-    skins, solves, left_out = _skins(request, images, overlay, progress)
-    warnings += left_out
-    case = optical_case(
-        images, model, skins, progress=lambda done, total: progress("images", done, total)
-    )
+        return nothing, (), images.digest, solves
+    case = case_of(request, progress, taken=(images, model), overlay=overlay)
+    warnings += case.left_out
+    solves += case.solve_count
     if findings is not None and findings.verdict is Verdict.UNKNOWN:
         case = case.without_contact()
         warnings.append(
@@ -204,7 +201,7 @@ def find_optical(
     found = tuple(
         FoundEffect(one.effect.name, answer.estimates[one.effect.name]) for one in answer.named
     )
-    return seen, found, images.digest, solves + reference_solves
+    return seen, found, images.digest, solves
 
 
 def _images_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:
@@ -290,26 +287,21 @@ def _optical_findings(
     squares = [mean_squares(judged, one, search.noise, case) for one in (before, after)]
     sizes = np.array([one.size for one in before])
     closed = _closed(squares, sizes, null.usual_excess, random) if answer.named else None
-    warnings = list(warnings)
-    if answer.stability is not None and answer.stability < decision.STABLE_SHARE:
-        warnings.append(
-            f"the name of the images' effect is not stable: {answer.stability:.0%} of bootstrap "
-            "repetitions over trajectories agree; record more trajectories"
-        )
-    for one in answer.named:
-        reached = wording.reaches_end(one.effect, answer.estimates[one.effect.name][0])
-        warnings += [] if reached is None else [reached]
+    told = [(one.effect, answer.estimates[one.effect.name]) for one in answer.named]
+    uncertain = wording.certainty_warnings(" of the images' effect", answer.stability, told)
     gap = _colour_gap(judged, before, after, search, null)
     beyond = answer.beyond
     return OpticalFindings(
         verdict=answer.verdict,
         sentence=wording.optical_sentence(
             answer.verdict,
-            [(one.effect, answer.estimates[one.effect.name]) for one in answer.named],
-            [library[name] for name in answer.alternatives],
-            gap,
-            nearest=_nearest(answer, library),
-            beyond=None if beyond is None else (beyond.parameter, beyond.value),
+            wording.Facts(
+                named=told,
+                alternatives=[library[name] for name in answer.alternatives],
+                gaps=[gap],
+                nearest=_nearest(answer, library),
+                beyond=None if beyond is None else (beyond.parameter, beyond.value),
+            ),
         ),
         named=tuple(one.effect.name for one in answer.named),
         alternatives=answer.alternatives,
@@ -325,7 +317,7 @@ def _optical_findings(
         share_closed_high=None if closed is None else closed[2],
         stability=answer.stability,
         tiles=_tiles(case, judged, before, after, search),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *uncertain),
         trajectories=tuple(shot.name for shot in search.shots),
         locked=tuple(locked),
         frame_count=sum(len(shot.measured) for shot in case.shots),
@@ -333,12 +325,12 @@ def _optical_findings(
     )
 
 
-def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> Effect | None:
+def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> list[Effect]:
     """Return the effect that comes nearest, where any explains something."""
     if answer.beyond is not None:
-        return answer.beyond.effect
+        return [answer.beyond.effect]
     best = answer.scores[0]
-    return library[best.name] if best.fit > 0.0 else None
+    return [library[best.name]] if best.fit > 0.0 else []
 
 
 def _closed(
@@ -445,8 +437,4 @@ def _candidates(
             )
         )
     hidden = [score.name for score in answer.scores if not score.is_excited]
-    result += [
-        Candidate(name, library[name].title, False, 0.0, library[name].parameters[0].none or 0.0)
-        for name in [*silent, *hidden]
-    ]
-    return tuple(result)
+    return (*result, *(candidate_of(library[name]) for name in [*silent, *hidden]))

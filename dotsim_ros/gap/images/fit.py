@@ -40,7 +40,7 @@ from dotsim_ros.gap.images.search import (
     signatures_of,
 )
 from dotsim_ros.gap.images.tile_noise import TileNoise
-from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
+from dotsim_ros.gap.resampling import BOOTSTRAPS, Contest, bootstrap_weights, stability
 from dotsim_ros.io.arrays import FloatArray
 
 ROUNDS = 2
@@ -87,18 +87,10 @@ class BeyondRange:
 
 @dataclass(frozen=True)
 class OpticalAnswer:
-    """What the rule makes of images.
+    """What the rule makes of images; most of it as in `OpticalFindings`.
 
     Attributes:
-        verdict: the answer.
-        named: the effects.
-        alternatives: names of those that cannot be distinguished from the first.
         scores: of all effects, the best first.
-        statistic, threshold: the largest, and what 1 - alpha of data without any effect stay below.
-        explained: share of what could be removed that the best effects take away.
-        excess, largest_excess: mean square of the whitened residual without effects, and what
-            1 - alpha of data without any effect stay below.
-        stability: share of bootstrap repetitions over trajectories that give the same answer.
         estimates: the parameters of each named effect.
         beyond: why the effect that explains most is not named, where it asks for too large a size.
     """
@@ -182,7 +174,7 @@ class ImageSearch:
         elif excess > most:
             verdict = Verdict.UNKNOWN
         alternatives: tuple[str, ...] = ()
-        stability = None
+        stable = None
         estimates: dict[str, tuple[Estimate, ...]] = {}
         if verdict is Verdict.NAMED:
             if len(named) == 1:
@@ -194,7 +186,7 @@ class ImageSearch:
                 for one in named
             ]
             estimates = self._estimates(alone, weights)
-            stability = self._stability(alone, alternatives, weights)
+            stable = self._stability(alone, alternatives, weights)
         else:
             named = []
         return OpticalAnswer(
@@ -207,7 +199,7 @@ class ImageSearch:
             float(np.clip(explained, 0.0, 1.0)),
             excess,
             most,
-            stability,
+            stable,
             estimates,
             beyond,
         )
@@ -217,10 +209,6 @@ class ImageSearch:
     ) -> tuple[list[Fitted], float, BeyondRange | None]:
         """Return the effects that are added, the square that they leave, and which of them asks for
         a size beyond its range; what takes off as much within its own range takes their place.
-
-        Args:
-            measured: residuals.
-            able: the scores past the threshold, the best first.
         """
         named, left = self._named(measured, able[0])
         beyond = self._beyond(measured, named)
@@ -262,10 +250,6 @@ class ImageSearch:
                 return BeyondRange(one.effect, parameter, value)
         return None
 
-    def _first(self, scores: Sequence[EffectScore]) -> EffectScore | None:
-        """Return the score that explains most of those past the threshold."""
-        return next((s for s in scores if s.statistic > self.threshold), None)
-
     def _square(self, residuals: Sequence[FloatArray]) -> float:
         """Return the square of a residual, whitened and free of nuisances."""
         whitened = self.search.whitened(residuals)
@@ -291,7 +275,7 @@ class ImageSearch:
         floor = self.null.largest_excess(self.alpha) * sum(one.size for one in measured)
         while len(named) < MOST_EFFECTS:
             others = [s for s in self.search.score(rest) if s.name != named[0].effect.name]
-            second = self._first(others)
+            second = next((s for s in others if s.statistic > self.threshold), None)
             if second is None:
                 break
             added = self._refined(rest, second)
@@ -380,17 +364,20 @@ class ImageSearch:
         """Return the share of bootstrap repetitions, (draws, shots) weights, that give the same
         answer: the effect that is named, or one of the set, comes first and is past the threshold;
         of two named, each next to the other."""
-        same = np.ones(len(weights), dtype=bool)
         named = {one.effect.name for one, _ in alone}
-        for one, rest in alone:
+
+        def contest(one: Fitted, rest: Sequence[FloatArray]) -> Contest:
             taken = named - {one.effect.name}
-            accepted = {one.effect.name, *alternatives}
             products = self.search.products(rest)
-            for number, weight in enumerate(weights):
+
+            def winner(weight: FloatArray) -> str | None:
                 scores = self.search.score_products(np.tensordot(weight, products, axes=1))
                 first = next(score for score in scores if score.name not in taken)
-                same[number] &= first.statistic > self.threshold and first.name in accepted
-        return float(same.mean())
+                return first.name if first.statistic > self.threshold else None
+
+            return winner, {one.effect.name, *alternatives}
+
+        return stability([contest(*one) for one in alone], weights)
 
 
 def mean_squares(
@@ -432,10 +419,8 @@ def _opened(direction: Direction, end: float | None) -> Direction:
     """Return a direction whose range goes on beyond an end; None for one that it does not reach."""
     if end is None:
         return direction
-    further = decision.OPENED * (end - direction.none)
-    return replace(
-        direction, low=direction.low + min(further, 0.0), high=direction.high + max(further, 0.0)
-    )
+    low, high = decision.opened_range(direction.low, direction.high, direction.none, end)
+    return replace(direction, low=low, high=high)
 
 
 def _beside(parameter: EffectParameter, value: float, reach: float) -> list[float]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import cv2
 import numpy as np
@@ -60,6 +60,7 @@ class Film:
     focal_px: float
     projection: str
     pixel_aspect: float = 1.0
+    BY_FRAME: ClassVar = ("stamp_s", "session_s", "pixels", "flow_px_s", "depth_m", "normal")
 
     def seen(self) -> Iterator[SeenImage]:
         """Yield the frames as effects take them."""

@@ -112,10 +112,6 @@ class OpticalNull:
         """Return it with the sizes that some more effects seem to have where nothing is missing.
 
         Thresholds then count on no more trajectories than those of the case.
-
-        Args:
-            effects: with an image hook.
-            case: images in which nothing is wrong.
         """
         shots = [shot for shot in case.shots if shot.name != IDLE]
         signatures = signatures_of(effects, [shot.film for shot in shots], case.meter)

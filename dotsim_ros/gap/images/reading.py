@@ -74,7 +74,7 @@ class MeasuredImages:
         return np.rint(self.idle_images.mean(axis=0)).astype(np.uint8)
 
 
-def holds_images(directory: str | Path) -> tuple[bool, bool]:
+def holds_images(directory: str | Path | DataSet) -> tuple[bool, bool]:
     """Return whether a data set says that its bags hold images, and whether it has idle images.
 
     Raises:
@@ -85,7 +85,7 @@ def holds_images(directory: str | Path) -> tuple[bool, bool]:
 
 
 def read_images(
-    directory: str | Path,
+    directory: str | Path | DataSet,
     *,
     sensor: SensorSpecification,
     indenters: str | Path | None = None,

@@ -180,13 +180,7 @@ def _direction(parameter: EffectParameter, probes: Sequence[float]) -> Direction
 
 
 def signature_blocks(effect: Effect, film: Film, meter: TileMeter) -> list[FloatArray]:
-    """Return what each probe of an effect does to one trajectory, (F, T, 6, P) each.
-
-    Args:
-        effect: with an image hook.
-        film: the twin's images.
-        meter: that compares.
-    """
+    """Return what each probe of an effect does to one trajectory, (F, T, 6, P) each."""
     probes = probes_of(effect)
     films = []
     for directions, shape in probes:
@@ -201,13 +195,7 @@ def signature_blocks(effect: Effect, film: Film, meter: TileMeter) -> list[Float
 def signatures_of(
     effects: Iterable[Effect], films: Iterable[Film], meter: TileMeter
 ) -> dict[str, tuple[Signature, ...]]:
-    """Return the signatures of effects by name; films are taken one at a time.
-
-    Args:
-        effects: those without an image hook are left out.
-        films: the twin's images of the trajectories.
-        meter: that compares.
-    """
+    """Return the signatures of effects by name; films are taken one at a time."""
     optical = [effect for effect in effects if effect.image is not None]
     blocks: dict[str, list[list[FloatArray]]] = {effect.name: [] for effect in optical}
     for film in films:
@@ -319,9 +307,6 @@ class OpticalSearch:
     def apart(self, values: Mapping[str, float], others: Mapping[str, float]) -> float:
         """Return how far apart two sizes of the only signature are: the square of it, over what
         noise and the model's error leave of it.
-
-        Args:
-            values, others: of its parameters.
         """
         ((signature, part, variance),) = zip(
             self._signatures, self._slices, self._spurious, strict=True
@@ -536,12 +521,7 @@ def freed(
 
 
 def alike(scores: Sequence[EffectScore], likeness: Iterable[Likeness]) -> list[str]:
-    """Return the effects that the data cannot distinguish from the best one, the best first.
-
-    Args:
-        scores: best first.
-        likeness: of the effects.
-    """
+    """Return the effects that the data cannot distinguish from the best one, the best first."""
     best = scores[0]
     near = {
         other

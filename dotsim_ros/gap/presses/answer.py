@@ -84,13 +84,7 @@ class SearchAnswer:
 
 
 def set_limits(search: Search, ranked: Sequence[Ranked], gains: FloatArray) -> float:
-    """Set what each effect must gain to be past its limit; return the threshold of simulated nulls.
-
-    Args:
-        search: the case.
-        ranked: effects.
-        gains: of data without any effect, as `null_gains` returns them.
-    """
+    """Set the limits of effects; return the threshold of simulated nulls."""
     threshold = decision.threshold_of(gains.tolist(), search.request.alpha)
     for entry in ranked:
         factor = decision.limit_factor(
@@ -105,13 +99,7 @@ def set_limits(search: Search, ranked: Sequence[Ranked], gains: FloatArray) -> f
 def answer_of(
     search: Search, ranked: list[Ranked], gains: FloatArray, pattern_gains: FloatArray
 ) -> SearchAnswer:
-    """Apply the rule to a case.
-
-    Args:
-        search: the case.
-        ranked: its effects, screened.
-        gains, pattern_gains: of data without any effect, as `null_gains` returns them.
-    """
+    """Apply the rule to a case."""
     alpha = search.request.alpha
     threshold = set_limits(search, ranked, gains)
     heavier = decision.pattern_factor(
@@ -312,12 +300,8 @@ def size_beyond_range(search: Search, entry: Ranked, beside: Ranked | None = Non
     variant = entry.trial.variant
     above = end > variant.absent
     outermost = search.segments([variant])[-1 if above else 0]
-    further = decision.OPENED * (end - variant.absent)
-    opened = replace(
-        outermost,
-        low=outermost.low + min(further, 0.0),
-        high=outermost.high + max(further, 0.0),
-    )
+    low, high = decision.opened_range(outermost.low, outermost.high, variant.absent, end)
+    opened = replace(outermost, low=low, high=high)
     base = fit_nuisances(evidence).objective
     found = try_segment(evidence, opened, base)
     within = try_segment(evidence, outermost, base)

@@ -124,13 +124,7 @@ def nuisance_requests(
 def nuisance_columns(
     nuisances: Sequence[PressNuisance], observed: Sequence[FloatArray], *, is_reference: bool
 ) -> list[FloatArray]:
-    """Return what each nuisance does to the observables (F, SIZE) when it moves by one deviation.
-
-    Args:
-        nuisances: q of them.
-        observed: observables of `nuisance_requests`, in their order.
-        is_reference: whether the trajectory is of the commissioning.
-    """
+    """Return what one deviation of each nuisance does to the observables (F, SIZE)."""
     base = observed[0]
     force_alone = base.copy()
     force_alone[:, : 3 * PATCH_COUNT] = np.where(

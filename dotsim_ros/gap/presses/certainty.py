@@ -1,7 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How certain an answer is: intervals, whether its name is stable, and what it is close to."""
+"""How certain an answer is: intervals, whether its name is stable, which effects the protocols
+distinguish, and which trajectory does so best (step 7 of the method)."""
 
 from __future__ import annotations
 
@@ -9,15 +10,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dotsim_ros.data.recording import Recording
+from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Pair
 from dotsim_ros.gap.presses.evidence import Segment
-from dotsim_ros.gap.presses.inference import Evidence, fit_nuisances
-from dotsim_ros.gap.presses.isolability import pairs_of
+from dotsim_ros.gap.presses.inference import Evidence, cosines, fit_nuisances, lengths
 from dotsim_ros.gap.presses.screening import Screen
 from dotsim_ros.gap.presses.search_state import Ranked, Search
-from dotsim_ros.gap.resampling import BOOTSTRAPS
+from dotsim_ros.gap.resampling import Contest, stability
+from dotsim_ros.io.arrays import FloatArray
 
 CHI_SQUARE = 3.84
 """95 % of one degree of freedom."""
@@ -125,12 +128,6 @@ def stability_of(
 
     Of the effects past their limits the one that gains most is the one that is named, or one of
     the set; of two named, each is that next to the other.
-
-    Args:
-        search: the case.
-        ranked: the effects that may be named.
-        named: one, or two that act together.
-        alternatives: those that are not distinguished from the first.
     """
     contest = [*ranked[:SHOWN], *(e for e in named if e.effect.name not in _names(ranked[:SHOWN]))]
     segments: list[Segment] = []
@@ -139,11 +136,9 @@ def stability_of(
         for segment in search.segments(entry.variants):
             segments.append(segment)
             owners.append(entry)
-    same = np.ones(BOOTSTRAPS, dtype=bool)
-    repetitions = search.bootstraps
-    for entry in named:
+
+    def contested(entry: Ranked) -> Contest:
         others = [other for other in named if other is not entry]
-        accepted = {entry.effect.name, *_names(alternatives)}
         taken = _names(others)
         evidence = search.evidence
         for other in others:
@@ -151,12 +146,16 @@ def stability_of(
         free = [k for k, owner in enumerate(owners) if owner.effect.name not in taken]
         screen = Screen(evidence, [segments[k] for k in free])
         limits = np.array([owners[k].limit for k in free])
-        for number, counts in enumerate(repetitions):
+
+        def winner(counts: FloatArray) -> str | None:
             _, gains, _ = screen.tries(evidence.residual, counts)
             gains[gains <= limits] = 0.0
             best = int(np.argmax(gains))
-            same[number] &= gains[best] > 0.0 and owners[free[best]].effect.name in accepted
-    return float(same.mean())
+            return owners[free[best]].effect.name if gains[best] > 0.0 else None
+
+        return winner, {entry.effect.name, *_names(alternatives)}
+
+    return stability([contested(entry) for entry in named], search.bootstraps)
 
 
 def _names(entries: Sequence[Ranked]) -> set[str]:
@@ -174,3 +173,52 @@ def close_pairs(search: Search, ranked: Sequence[Ranked]) -> tuple[Pair, ...]:
     return tuple(
         p for p in pairs if p.separation < decision.APART or abs(p.cosine) > decision.ALIKE
     )
+
+
+def pairs_of(
+    evidence: Evidence,
+    effects: Sequence[Effect],
+    columns: FloatArray,
+    recordings: Sequence[Recording],
+) -> tuple[Pair, ...]:
+    """Return every pair of effects.
+
+    Args:
+        evidence: whose nuisances are projected out.
+        effects: k of them.
+        columns: (n, k) whitened change by each.
+        recordings: of the evidence's trajectories, in order.
+    """
+    apart = _separations(evidence, columns)
+    rho = cosines(evidence, columns)
+    duration_s = np.array([float(np.ptp(r.press.stamp_s)) for r in recordings])
+    by_trajectory = np.stack(
+        [
+            _separations(evidence.of([t]), columns[evidence.rows_of([t])])
+            for t in range(len(recordings))
+        ]
+    )
+    per_second = by_trajectory / duration_s[:, None, None]
+    pairs = []
+    for i, first in enumerate(effects):
+        for j, second in enumerate(effects[i + 1 :], start=i + 1):
+            best = int(np.argmax(per_second[:, i, j]))
+            pairs.append(
+                Pair(
+                    first.name,
+                    second.name,
+                    float(rho[i, j]),
+                    float(apart[i, j]),
+                    "; or ".join(dict.fromkeys((first.protocol, second.protocol))),
+                    recordings[best].name,
+                    float(per_second[best, i, j]),
+                )
+            )
+    return tuple(pairs)
+
+
+def _separations(evidence: Evidence, columns: FloatArray) -> FloatArray:
+    """Return (k, k) d = delta sqrt((1 - |rho|) / 2), delta being the larger of the two sizes."""
+    size, rho = lengths(evidence, columns), cosines(evidence, columns)
+    delta = np.maximum(size[:, None], size[None, :])
+    return np.asarray(delta * np.sqrt(np.maximum(1.0 - np.abs(rho), 0.0) / 2.0))

@@ -15,7 +15,7 @@ from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
 from dotsim_ros.effects.simulate import request_of
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict
+from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict, candidate_of
 from dotsim_ros.gap.presses.answer import (
     Decision,
     SearchAnswer,
@@ -38,7 +38,6 @@ from dotsim_ros.gap.presses.locate import (
 from dotsim_ros.gap.presses.made_up import made_up
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
 from dotsim_ros.gap.report import wording
-from dotsim_ros.gap.resampling import BOOTSTRAPS
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.twin.follow import SolveError
@@ -72,14 +71,8 @@ def findings_of(
             residuals, refitted = _with_effects(search, [])
     named, verdict = decided.named, decided.verdict
     doubt, stability = decided.doubt, decided.stability
-    if named and stability is not None and stability < decision.STABLE_SHARE:
-        search.warnings.append(
-            f"the name is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions over "
-            "trajectories agree; record more trajectories"
-        )
-    for entry in named:
-        reached = wording.reaches_end(entry.effect, entry.estimates[0])
-        search.warnings += [] if reached is None else [reached]
+    told = [(entry.effect, entry.estimates) for entry in named]
+    search.warnings += wording.certainty_warnings("", stability if named else None, told)
     worst = worst_frame(
         case,
         residuals,
@@ -96,25 +89,26 @@ def findings_of(
     fitted = values_after(case.values, shared, refitted.nuisance[: len(shared)])
     gaps = channel_gaps(residuals, judged)
     places = places_of_gap(case, residuals, measured, search.random)
+    beyond = size_beyond_range(search, nearest[0]) if is_unknown and alone else None
+    facts = wording.Facts(
+        named=told,
+        alternatives=[e.effect for e in decided.alternatives],
+        gaps=gaps,
+        nearest=[e.effect for e in nearest],
+        sizes=sizes_by_channel(search, nearest[0]) if is_unknown and alone else None,
+        beyond=None if beyond is None else (nearest[0].effect.parameters[0], beyond),
+        left_open=left_open,
+        doubted=""
+        if doubt is None
+        else wording.amid_all([e.effect for e in doubt.effects], are_two=doubt.are_two),
+        stability=stability,
+        place=wording.largest_place(places),
+        is_held_out=bool(search.held_out),
+        made_up=made_up(search, gaps) if verdict is Verdict.NO_GAP else None,
+    )
     findings = Findings(
         verdict=verdict,
-        sentence=wording.sentence(
-            verdict,
-            [(e.effect, e.estimates) for e in named],
-            [e.effect for e in decided.alternatives],
-            gaps,
-            nearest=[e.effect for e in nearest],
-            doubted=""
-            if doubt is None
-            else wording.amid_all([e.effect for e in doubt.effects], are_two=doubt.are_two),
-            stability=stability,
-            sizes=sizes_by_channel(search, nearest[0]) if is_unknown and alone else None,
-            left_open=left_open,
-            beyond=size_beyond_range(search, nearest[0]) if is_unknown and alone else None,
-            place=wording.largest_place(places),
-            is_held_out=bool(search.held_out),
-            made_up=made_up(search, gaps) if verdict is Verdict.NO_GAP else None,
-        ),
+        sentence=wording.sentence(verdict, facts),
         named=tuple(e.effect.name for e in named),
         alternatives=tuple(e.effect.name for e in decided.alternatives),
         statistic=answer.statistic,
@@ -256,9 +250,4 @@ def _candidates(
         )
         for e in ranked
     ]
-    library = search.case.library
-    result += [
-        Candidate(name, library[name].title, False, 0.0, library[name].parameters[0].none or 0.0)
-        for name in silent
-    ]
-    return tuple(result)
+    return (*result, *(candidate_of(search.case.library[name]) for name in silent))

@@ -28,7 +28,7 @@ from dotsim_ros.gap.presses.covariance import (
     whitening_of,
 )
 from dotsim_ros.gap.presses.inference import Evidence
-from dotsim_ros.gap.presses.observables import CHANNELS, Places, observe, places_of
+from dotsim_ros.gap.presses.observables import CHANNELS, SIZE, Places, observe, places_of
 from dotsim_ros.gap.presses.patterns import patterns
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -120,10 +120,11 @@ class Segment:
         return replace(self, offset=self.offset[rows], column=self.column[rows])
 
 
+@dataclass
 class Case:
     """A measured data set, with a reference or without, ready to be searched.
 
-    Args:
+    Attributes:
         trajectories: of the reference first.
         nuisances: what the twin may be wrong about.
         library: effects by name.
@@ -132,24 +133,12 @@ class Case:
         rest_m: (V, 3) of the skin.
     """
 
-    def __init__(
-        self,
-        trajectories: Sequence[EvidenceTrajectory],
-        nuisances: Sequence[PressNuisance],
-        library: Mapping[str, Effect],
-        solver: EffectSolver,
-        values: GelValues,
-        rest_m: FloatArray,
-    ) -> None:
-        self.trajectories, self.nuisances = tuple(trajectories), tuple(nuisances)
-        self.library, self.solver, self.values = library, solver, values
-        self._rest_m = rest_m
-
-    def with_trajectories(self, trajectories: Sequence[EvidenceTrajectory]) -> Case:
-        """Return the same case with other trajectories, as many."""
-        return Case(
-            trajectories, self.nuisances, self.library, self.solver, self.values, self._rest_m
-        )
+    trajectories: Sequence[EvidenceTrajectory]
+    nuisances: Sequence[PressNuisance]
+    library: Mapping[str, Effect]
+    solver: EffectSolver
+    values: GelValues
+    rest_m: FloatArray
 
     def evidence(self, chosen: Sequence[int]) -> Evidence:
         """Return the evidence of some trajectories."""
@@ -263,14 +252,11 @@ class Case:
         """Return (n, 2) whitened: what a variant at a size does to the skin alone, and to the force
         alone."""
         change = self.change_at(variant, size)
+        number = np.arange(SIZE)
         columns = []
         for channel in CHANNELS.values():
-            alone: list[FloatArray | None] = []
-            for one in change:
-                part = None if one is None else np.zeros_like(one)
-                if part is not None and one is not None:
-                    part[:, channel] = one[:, channel]
-                alone.append(part)
+            is_shown = (number >= channel.start) & (number < channel.stop)
+            alone = [None if one is None else np.where(is_shown, one, 0.0) for one in change]
             columns.append(self.whitened(alone, chosen))
         return np.stack(columns, axis=1)
 
@@ -341,7 +327,7 @@ class Case:
         results, failures = self.solver.run_each(requests, progress)
         for (row, place, t), result in zip(owners, results, strict=True):
             if result is not None:
-                shown = observed_of(t.recording, t.places, result, self._rest_m)
+                shown = observed_of(t.recording, t.places, result, self.rest_m)
                 changes[row][place] = shown - t.predicted
         return changes, failures
 

@@ -190,35 +190,25 @@ def places_of_gap(
                         key = (channel, str(step), str(name))
                         sums.setdefault(key, {})[trajectory.recording.name] = square
     places = []
-    for (channel, step, name), by_trajectory in sums.items():
+    for key, by_trajectory in sums.items():
         for trajectory_name, square in by_trajectory.items():
-            places.append(_place(channel, trajectory_name, step, name, square, 0.0, 0.0))
+            places.append(_place(key, trajectory_name, square))
         every = np.stack(list(by_trajectory.values()))
-        low, high = _interval(every, random)
-        places.append(_place(channel, "all", step, name, every.sum(axis=0), low, high))
+        places.append(_place(key, "all", every.sum(axis=0), *_interval(every, random)))
     return tuple(places)
 
 
 def _place(
-    channel: str,
+    key: tuple[str, str, str],
     trajectory: str,
-    phase: str,
-    region: str,
     square: FloatArray,
-    low: float,
-    high: float,
+    low: float = 0.0,
+    high: float = 0.0,
 ) -> ResidualPlace:
-    before, after, count = square.tolist()
+    channel, phase, region = key
+    before, after = np.sqrt(square[:2] / square[2]).tolist()
     return ResidualPlace(
-        channel,
-        trajectory,
-        phase,
-        region,
-        float(np.sqrt(before / count)),
-        float(np.sqrt(after / count)),
-        low,
-        high,
-        int(count),
+        channel, trajectory, phase, region, before, after, low, high, int(square[2])
     )
 
 

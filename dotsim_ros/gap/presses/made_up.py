@@ -52,10 +52,6 @@ class _Column:
 def made_up(search: Search, gaps: Sequence[ChannelGap]) -> MadeUp | None:
     """Return which constants make up for what the file is off by; None where it is off by no more
     than the floor, or the constants were fitted to a commissioning.
-
-    Args:
-        search: the case.
-        gaps: by channel.
     """
     off = [gap for gap in gaps if gap.before > decision.FAR * gap.floor]
     if not off or any(t.is_reference for t in search.case.trajectories):

@@ -45,13 +45,7 @@ class Trial:
 
 
 def try_segment(evidence: Evidence, segment: Segment, base: float) -> Trial:
-    """Return the trial of one segment.
-
-    Args:
-        evidence: to explain.
-        segment: of an effect.
-        base: objective of nuisances alone.
-    """
+    """Return the trial of one segment."""
     left = evidence.with_residual(evidence.residual - segment.offset)
     found = fit(left, segment.column[:, None], np.array([segment.low]), np.array([segment.high]))
     step = float(found.size[0])
@@ -168,12 +162,7 @@ def planned_requests(
 
 
 def excited_variants(case: Case, candidates: Sequence[str] = ()) -> tuple[list[Variant], list[str]]:
-    """Return the variants of the effects that the data excite, and the names of the others.
-
-    Args:
-        case: the data.
-        candidates: names of the effects to look at; none for all.
-    """
+    """Return the variants of the effects that the data excite, and the names of the others."""
     variants, silent = [], []
     for effect in case.library.values():
         if candidates and effect.name not in candidates:

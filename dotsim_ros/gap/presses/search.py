@@ -52,16 +52,11 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         ValueError: data that cannot be used; the text says why and what to do.
     """
     begun_s = time.monotonic()
-    if not 0.0 < request.alpha < 1.0:
-        raise ValueError(f"alpha is {request.alpha}, expected between 0 and 1")
     measurement, reference = _read(request)
     scale, weight_warnings = weighed_scale(request)
     if scale is not None:
         measurement = with_right_forces(measurement, scale)
     library = request.library()
-    unknown = sorted(set(request.candidates) - set(library))
-    if unknown:
-        raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
     request = without_scale(request, library, scale)
     noise = noise_from_idle(
         measurement.recordings, measurement.skin.rest_position_m, ChannelNoise()
@@ -122,14 +117,16 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
 def _read(request: GapRequest) -> tuple[Measurement, Measurement | None]:
     own = skin_of(request.sensor.gel)
     measurement = read_measurement(request.measured, own_skin=own, indenters=request.indenters)
-    check_same_shape(measurement.skin, own, data=str(request.measured), sensor=request.sensor.name)
+    check_same_shape(
+        measurement.skin, own, data=str(measurement.directory), sensor=request.sensor.name
+    )
     if request.reference is None:
         return measurement, None
     reference = read_measurement(request.reference, own_skin=own, indenters=request.indenters)
     if reference.skin.vertex_count != measurement.skin.vertex_count:
         raise ValueError(
-            f"{request.reference} lists {reference.skin.vertex_count} points of the skin, "
-            f"{request.measured} {measurement.skin.vertex_count}; record both in the same way"
+            f"{reference.directory} lists {reference.skin.vertex_count} points of the skin, "
+            f"{measurement.directory} {measurement.skin.vertex_count}; record both in the same way"
         )
     return measurement, reference
 
@@ -199,10 +196,6 @@ def simulate_effects(
     search: Search, progress: Callable[[int, int], None]
 ) -> tuple[list[Variant], list[str]]:
     """Simulate every effect that is excited at its probes; return them, and the others' names.
-
-    Args:
-        search: the case.
-        progress: called as `dotsim_ros.twin.solver.Progress`.
 
     Raises:
         ValueError: nothing is excited.

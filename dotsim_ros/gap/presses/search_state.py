@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.effects.effect import Effect
-from dotsim_ros.effects.library import load_effects
+from dotsim_ros.data.data_set import DataSet, indenter_files
+from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, Effect
+from dotsim_ros.effects.library import effect_names, load_effects
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy
@@ -22,9 +23,11 @@ from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances
 from dotsim_ros.gap.presses.screening import Trial
 from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.io.worker_pool.pool import Crew
+from dotsim_ros.io.worker_pool.pool import Crew, check_workers
 from dotsim_ros.specification import SensorSpecification
 
+MECHANICAL = (SKIN, FORCE)
+CHANNELS = (*MECHANICAL, IMAGE)
 Progress = Callable[[str, int, int], None]
 """Called with a step's name, how much of it is done, and of how much."""
 PATTERN_DEVIATION = 20.0
@@ -66,32 +69,23 @@ class SolveProgress:
 
 @dataclass(frozen=True)
 class GapRequest:
-    """What to search, and how.
+    """What to search, and how; one that no search could be run with is refused.
 
-    Attributes:
-        measured: folder of the data set.
-        sensor: the calibrated twin.
+    Attributes are the arguments of `dotsim_ros.gap.find.find_gap`, and:
         directory: of the run: solves are kept there.
-        reference: folder of the commissioning; None for the absolute mode.
-        indenters: folder of the meshes; None looks next to the data.
-        effects: folders of the user's effects.
-        channels: that are used.
-        candidates: names of the effects to look for; empty for all of the library.
-        alpha: probability of a name on data without any effect.
-        budget: solves of a trajectory after which sizes are refined no more; None for no limit.
-        seed: of all draws.
-        workers: how many processes, or workers of Ray.
-        discrepancy: file of the covariances; None for the shipped ones.
-        optical_noise: file of what images show where nothing is missing; None for the shipped one.
+
+    Raises:
+        FileNotFoundError: no such folder of effects, or file.
+        ValueError: an argument that is out of range or names nothing.
     """
 
-    measured: Path
+    measured: Path | DataSet
     sensor: SensorSpecification
     directory: Path
-    reference: Path | None = None
+    reference: Path | DataSet | None = None
     indenters: Path | None = None
     effects: tuple[Path, ...] = ()
-    channels: tuple[str, ...] = ("skin", "force")
+    channels: tuple[str, ...] = MECHANICAL
     candidates: tuple[str, ...] = ()
     alpha: float = 0.02
     budget: int | None = None
@@ -99,6 +93,30 @@ class GapRequest:
     workers: Crew = 2
     discrepancy: Path | None = None
     optical_noise: Path | None = None
+
+    def __post_init__(self) -> None:
+        # No file of the user's is run for it.
+        known = effect_names(self.effects)
+        for kind, named, there in (
+            ("channel", self.channels, CHANNELS),
+            ("effect", self.candidates, known),
+        ):
+            strange = sorted(set(named) - set(there))
+            if strange:
+                raise ValueError(f"no {kind} {', '.join(strange)}; known are {', '.join(there)}")
+        if not 0.0 < self.alpha < 1.0:
+            raise ValueError(f"alpha is {self.alpha}, expected between 0 and 1")
+        check_workers(self.workers)
+        for name, count, least in (("budget", self.budget, 0), ("seed", self.seed, 0)):
+            if count is not None and count < least:
+                raise ValueError(f"{name} is {count}, expected {least} or more")
+        for path in (self.indenters, self.discrepancy, self.optical_noise):
+            if path is not None and not path.exists():
+                raise FileNotFoundError(f"there is nothing at {path}")
+        if self.indenters is not None and not indenter_files(self.indenters):
+            raise ValueError(
+                f"indenters is {self.indenters}, expected a folder of meshes, NAME.stl each"
+            )
 
     def library(self) -> dict[str, Effect]:
         """Return the effects, shipped and the user's; with candidates no other file is run."""

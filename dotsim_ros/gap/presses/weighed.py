@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.data_set import DataSet, read_data_set
 from dotsim_ros.data.known_weight import ForceScale, combined_scale, read_weight
 from dotsim_ros.data.measurement import Measurement
 from dotsim_ros.effects.effect import FORCE, Effect
@@ -43,9 +43,9 @@ def weighed_scale(request: GapRequest) -> tuple[ForceScale | None, list[str]]:
     return scale.over(before), warnings
 
 
-def _scale_of(directory: Path) -> tuple[ForceScale | None, list[str]]:
+def _scale_of(data: Path | DataSet) -> tuple[ForceScale | None, list[str]]:
     scales, warnings = [], []
-    for entry in read_data_set(directory).weights:
+    for entry in read_data_set(data).weights:
         try:
             scales.append(read_weight(entry))
         except (FileNotFoundError, ValueError) as error:
@@ -89,13 +89,7 @@ def without_scale(
 def with_scale(
     findings: Findings, overlay: Overlay | None, scale: ForceScale, effect: Effect
 ) -> tuple[Findings, Overlay]:
-    """Return what was found in presses, and the wrong scale that weights give.
-
-    Args:
-        findings, overlay: of the presses, with forces that are right.
-        scale: of the gauge.
-        effect: the library's.
-    """
+    """Return what was found in presses, and the wrong scale that weights give."""
     reach = 1.96 * scale.deviation
     estimate = Estimate("scale", "", scale.scale, scale.scale - reach, scale.scale + reach)
     candidate = Candidate(

@@ -5,14 +5,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib
 import numpy as np
 from matplotlib.colors import LogNorm
 from numpy.typing import ArrayLike
 
-from dotsim_ros.gap.findings import ChannelGap, Findings, WorstFrame
+from dotsim_ros.gap.findings import ChannelGap, Findings, TileGap, WorstFrame
 from dotsim_ros.gap.report.places import PlaceTable, strongest
-from dotsim_ros.gap.report.text import shown, shown_unit
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.page import LARGEST_WIDTH_INCHES, ReportImage, image_of, page_figure
 from dotsim_ros.io.printable import figure_label
@@ -33,10 +34,36 @@ MOST_ROWS = 30
 _MAP_PX = 320
 _MAP_INCHES = (1.75, 2.3)
 _LONGEST_LABEL = 22
+_TILES_INCHES = 2.7
+_MARKER = 330.0
+"""Area of a tile's square, square points: tiles of an 8 x 6 grid touch each other."""
+_SHOWN_UNITS = {
+    "m": (1e3, "mm"),
+    "m/N": (1e3, "mm/N"),
+    "s": (1.0, "s"),
+    "Pa": (1e-3, "kPa"),
+    "rad": (180.0 / np.pi, "degrees"),
+}
 
 
-def gap_bars(gap: ChannelGap, stages: tuple[str, ...]) -> ReportImage:
-    """Return a channel's RMS at some stages, keys of `STAGE_COLOURS`."""
+def shown(value: float, unit: str) -> float:
+    """Return a value of an SI unit in the unit that `shown_unit` names."""
+    return float(value * _SHOWN_UNITS.get(unit, (1.0, unit))[0])
+
+
+def shown_unit(unit: str) -> str:
+    """Return the unit in which a report shows values of an SI unit."""
+    return _SHOWN_UNITS.get(unit, (1.0, unit))[1]
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a value with its unit."""
+    return f"{shown(value, unit):.3g} {shown_unit(unit)}".rstrip()
+
+
+def gap_bars(gap: ChannelGap, *, with_after: bool) -> ReportImage:
+    """Return a channel's RMS at each stage; that after only where an effect was added."""
+    stages = [stage for stage in STAGE_COLOURS if with_after or stage != "after"]
     values = [shown(getattr(gap, stage), gap.unit) for stage in stages]
     with page_figure(LARGEST_WIDTH_INCHES, 0.6 + 0.24 * len(stages)) as figure:
         axes = figure.add_subplot()
@@ -53,14 +80,7 @@ def gap_bars(gap: ChannelGap, stages: tuple[str, ...]) -> ReportImage:
 
 
 def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> ReportImage:
-    """Return a table of residuals as colours and numbers.
-
-    Args:
-        table: of at least one row and column.
-        stage: "before" or "after".
-        name: of the file.
-        title: above it.
-    """
+    """Return a table of residuals as colours and numbers."""
     if len(table.rows) > MOST_ROWS:
         title = f"{title}: the {MOST_ROWS} strongest of {len(table.rows)}"
         table = strongest(table, MOST_ROWS)
@@ -77,9 +97,7 @@ def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> ReportIm
         axes.imshow(np.ma.masked_invalid(values), cmap=colours, norm=shade, aspect="auto")
         for (i, j), value in np.ndenumerate(values):
             if np.isfinite(value):
-                dark = shade(value) > 0.6
-                text = f"{value:.1f}" if value < 9.95 else f"{value:.0f}"
-                axes.text(j, i, text, ha="center", va="center", color="white" if dark else "black")
+                _number(axes, j, i, value, is_dark=shade(value) > 0.6)
         axes.set_xticks(range(len(columns)), columns, rotation=90)
         axes.set_yticks(range(len(rows)), rows)
         axes.tick_params(length=0)
@@ -88,11 +106,41 @@ def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> ReportIm
         return image_of(figure, name=name, alt=f"{title}: {_strongest(table, values)}")
 
 
-def ranking(findings: Findings) -> ReportImage | None:
-    """Return scores of the candidates over the threshold, or None where none was scored."""
+def tile_map(tiles: tuple[TileGap, ...], stage: str) -> ReportImage:
+    """Return the tiles of the image in colours and numbers, at "before" or "after"."""
+    values = [getattr(tile, stage) for tile in tiles]
+    shade = LogNorm(0.7, max(4.0, *(tile.before for tile in tiles)), clip=True)
+    with page_figure(LARGEST_WIDTH_INCHES, _TILES_INCHES) as figure:
+        axes = figure.add_subplot()
+        axes.scatter(
+            [tile.x for tile in tiles],
+            [tile.y for tile in tiles],
+            c=values,
+            s=_MARKER,
+            marker="s",
+            cmap=HEAT_COLOURS,
+            norm=shade,
+        )
+        for tile, value in zip(tiles, values, strict=True):
+            _number(axes, tile.x, tile.y, value, is_dark=shade(value) > 0.6)
+        axes.set_xlim(0.0, 1.0)
+        axes.set_ylim(1.0, 0.0)
+        axes.set_axis_off()
+        axes.set_title(f"Tiles, {stage}")
+        alt = f"RMS of the tiles of the image, {stage}: {min(values):.2g} to {max(values):.2g}"
+        return image_of(figure, name=f"tiles_{stage}", alt=alt)
+
+
+def _number(axes: Any, x: float, y: float, value: float, *, is_dark: bool) -> None:
+    text = f"{value:.1f}" if value < 9.95 else f"{value:.0f}"
+    axes.text(x, y, text, ha="center", va="center", color="white" if is_dark else "black")
+
+
+def ranking(findings: Findings) -> list[ReportImage]:
+    """Return scores of the candidates over the threshold; nothing where none was scored."""
     scored = [c for c in findings.candidates if c.is_excited][:MOST_CANDIDATES]
     if not scored:
-        return None
+        return []
     colour = {
         **dict.fromkeys(findings.alternatives, ALTERNATIVE_COLOUR),
         **dict.fromkeys(findings.named, NAMED_COLOUR),
@@ -119,34 +167,32 @@ def ranking(findings: Findings) -> ReportImage | None:
         alt = f"Scores against the threshold {findings.threshold:.3g}: " + ", ".join(
             f"{candidate.name} {candidate.score:.3g}" for candidate in scored
         )
-        return image_of(figure, name="ranking", alt=alt)
+        return [image_of(figure, name="ranking", alt=alt)]
 
 
-def worst_frame(worst: WorstFrame, *, with_after: bool) -> tuple[ReportImage, ...]:
-    """Return the skin of the worst frame seen from above, and where each model misses it.
-
-    Args:
-        worst: with a skin.
-        with_after: whether an effect was added, so that after differs from before.
-    """
+def worst_frame(worst: WorstFrame, *, with_after: bool) -> list[ReportImage]:
+    """Return the skin of the worst frame seen from above, and where each model misses it; nothing
+    without a skin. An image after is made where an effect was added, so that it differs."""
+    if not (worst.rest_m and worst.measured_m and worst.before_m):
+        return []
     rest, measured = np.array(worst.rest_m), np.array(worst.measured_m)
     skin_map = SkinMap(rest, size_px=_MAP_PX)
     models = {"before": np.array(worst.before_m)}
-    if with_after:
+    if with_after and worst.after_m:
         models["after"] = np.array(worst.after_m)
     motion = {"measured": _distance_mm(measured, rest)}
     motion |= {name: _distance_mm(skin, rest) for name, skin in models.items()}
-    miss = {name: _distance_mm(skin, measured) for name, skin in models.items()}
-    largest_motion, largest_miss = _largest(motion), _largest(miss)
-    images = [
-        _skin(skin_map, values, largest_motion, SKIN_COLOURS, name, f"Motion, {name}")
-        for name, values in motion.items()
-    ]
-    images += [
-        _skin(skin_map, values, largest_miss, MISFIT_COLOURS, f"misfit_{name}", f"Misfit, {name}")
-        for name, values in miss.items()
-    ]
-    return tuple(images)
+    miss = {f"misfit_{name}": _distance_mm(skin, measured) for name, skin in models.items()}
+    images = []
+    for kind, values, colours in (
+        ("Motion", motion, SKIN_COLOURS),
+        ("Misfit", miss, MISFIT_COLOURS),
+    ):
+        largest = max(1e-6, *(float(np.nanmax(one)) for one in values.values()))
+        for name, one in values.items():
+            title = f"{kind}, {name.removeprefix('misfit_')}"
+            images.append(_skin(skin_map, one, largest, colours, name, title))
+    return images
 
 
 def _skin(
@@ -173,10 +219,6 @@ def _skin(
 def _distance_mm(one_m: ArrayLike, other_m: ArrayLike) -> FloatArray:
     between = np.asarray(one_m, dtype=np.float64) - np.asarray(other_m, dtype=np.float64)
     return np.asarray(1e3 * np.linalg.norm(between, axis=1))
-
-
-def _largest(values: dict[str, FloatArray]) -> float:
-    return max(1e-6, *(float(np.nanmax(one)) for one in values.values()))
 
 
 def _strongest(table: PlaceTable, values: FloatArray) -> str:

@@ -12,7 +12,9 @@ from dotsim_ros.data.measurement import Measurement, protocol_of
 from dotsim_ros.data.recording import Phase
 from dotsim_ros.effects.effect import Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, Verdict
+from dotsim_ros.gap.resampling import BOOTSTRAPS
 
 FEW = 4
 
@@ -74,8 +76,8 @@ def data_warnings(
 
 def shown(estimate: Estimate) -> str:
     """Return a fitted number with its interval."""
-    unit = f" {estimate.unit}" if estimate.unit else ""
-    return f"{estimate.name} = {estimate.value:.3g}{unit} [{estimate.low:.3g}, {estimate.high:.3g}]"
+    interval = f"[{estimate.low:.3g}, {estimate.high:.3g}]"
+    return f"{estimate.name} = {estimate.value:.3g}{_unit(estimate)} {interval}"
 
 
 def largest_place(places: Sequence[ResidualPlace]) -> str:
@@ -90,89 +92,66 @@ def largest_place(places: Sequence[ResidualPlace]) -> str:
     )
 
 
-def sentence(
-    verdict: Verdict,
-    named: Sequence[tuple[Effect, Sequence[Estimate]]],
-    alternatives: Sequence[Effect],
-    gaps: Sequence[ChannelGap],
-    *,
-    nearest: Sequence[Effect],
-    sizes: tuple[float, float] | None,
-    beyond: float | None,
-    is_held_out: bool = True,
-    doubted: str = "",
-    stability: float | None = None,
-    left_open: float | None = None,
-    place: str,
-    made_up: MadeUp | None = None,
-) -> str:
-    """Return the answer in a few sentences.
+@dataclass(frozen=True)
+class Facts:
+    """What a sentence on an answer is made of.
 
-    Args:
-        verdict: the answer.
+    Attributes:
         named: effects that are added, with their estimates.
         alternatives: effects that cannot be distinguished from the first.
         gaps: by channel, on the held-out trajectories, or on all where none is held out.
         nearest: what comes nearest, where nothing is named: an effect, or two that act together.
         sizes: of the nearest, as the skin and as the force give it, where they disagree.
-        beyond: size of the nearest that the data ask for, where it is beyond its range.
-        is_held_out: whether any trajectory is.
+        beyond: parameter of the nearest and the value that the data ask for, beyond its range.
+        left_open: share of the held-out trajectories' gap that the nearest closes, where that is
+            why it is not named.
         doubted: the effects that are not named because too few bootstrap repetitions ask for them,
             as `amid_all` puts them.
         stability: share of the repetitions that do.
-        left_open: share of the held-out trajectories' gap that the nearest closes, where that is
-            why it is not named.
         place: where the residual is largest, in words.
+        is_held_out: whether any trajectory is.
         made_up: where no effect is missing, how the twin's constants make up for a gap.
     """
-    if verdict is Verdict.NO_GAP:
-        if made_up is not None:
-            return _made_up_sentence(made_up)
+
+    named: Sequence[tuple[Effect, Sequence[Estimate]]] = ()
+    alternatives: Sequence[Effect] = ()
+    gaps: Sequence[ChannelGap] = ()
+    nearest: Sequence[Effect] = ()
+    sizes: tuple[float, float] | None = None
+    beyond: tuple[EffectParameter, float] | None = None
+    left_open: float | None = None
+    doubted: str = ""
+    stability: float | None = None
+    place: str = ""
+    is_held_out: bool = True
+    made_up: MadeUp | None = None
+
+
+def sentence(verdict: Verdict, facts: Facts) -> str:
+    """Return the answer of skin and force in a few sentences."""
+    return {
+        Verdict.NO_GAP: _no_gap,
+        Verdict.UNKNOWN: _not_decided if facts.doubted else _unknown,
+        Verdict.NAMED: _missing,
+        Verdict.SET: _missing,
+    }[verdict](facts)
+
+
+def optical_sentence(verdict: Verdict, facts: Facts) -> str:
+    """Return what was found in the images, in one or two sentences."""
+    return {
+        Verdict.NO_GAP: lambda _: "Images: no gap beyond noise and the twin's own error.",
+        Verdict.UNKNOWN: _unknown_in_images,
+        Verdict.NAMED: _missing_in_images,
+        Verdict.SET: _missing_in_images,
+    }[verdict](facts)
+
+
+def _no_gap(facts: Facts) -> str:
+    """Return that no effect is missing, and where the twin's file does not fit, that and why."""
+    found = facts.made_up
+    if found is None:
         return "No gap: simulation and measurement agree within noise and discretisation."
-    if doubted and stability is not None:
-        return (
-            f"Not decided: simulation and measurement disagree, most in {place}, and what explains "
-            f"it best is: {doubted}. Only {stability:.0%} of bootstrap repetitions over "
-            "trajectories ask for it; record more trajectories."
-        )
-    if verdict is Verdict.UNKNOWN:
-        text = "Unknown effect: simulation and measurement disagree, and no effect of the library "
-        text += f"explains it. It is largest in {place}."
-        if nearest:
-            text += f" The nearest is: {amid_all(nearest, are_two=True)}"
-            first = nearest[0].parameters[0]
-            unit = f" {first.unit}" if first.unit else ""
-            if beyond is not None:
-                text += f", but the data {_asked(first, beyond)}"
-            if left_open is not None:
-                closes = "it closes" if len(nearest) == 1 else "together they close"
-                text += f", but {closes} {left_open:.0%} of the held-out trajectories' gap"
-            if sizes is not None:
-                text += (
-                    f", but the skin gives {first.name} = {sizes[0]:.2g}{unit} and the force "
-                    f"{sizes[1]:.2g}{unit}: they should agree"
-                )
-            text += "."
-        return text
-    parts = [
-        f"{effect.title} is missing: {', '.join(shown(e) for e in estimates)}"
-        for effect, estimates in named
-    ]
-    closing = "; ".join(
-        f"{gap.channel} {gap.recalibrated:.3g} -> {gap.after:.3g} {gap.unit} (floor "
-        f"{gap.floor:.2g})"
-        for gap in gaps
-    )
-    where = "held-out gap" if is_held_out else "gap of the data searched, none being held out"
-    text = "; and ".join(parts) + (f"; {where}: {closing}." if closing else ".")
-    if alternatives:
-        others = ", ".join(effect.title for effect in alternatives)
-        text += f" The data do not distinguish it from: {others}."
-    return text
-
-
-def _made_up_sentence(found: MadeUp) -> str:
-    """Return that no effect is missing, but the twin's file does not fit."""
     off = ", ".join(
         f"{gap.channel} {gap.before:.3g} {gap.unit} ({gap.before / gap.floor:.1f} times the floor)"
         for gap in found.gaps
@@ -192,56 +171,84 @@ def _made_up_sentence(found: MadeUp) -> str:
     return text
 
 
-def optical_sentence(
-    verdict: Verdict,
-    named: Sequence[tuple[Effect, Sequence[Estimate]]],
-    alternatives: Sequence[Effect],
-    gap: ChannelGap,
-    *,
-    nearest: Effect | None,
-    beyond: tuple[EffectParameter, float] | None = None,
-) -> str:
-    """Return what was found in the images, in one or two sentences.
-
-    Args:
-        verdict: of the images.
-        named: effects that are added, with their estimates.
-        alternatives: effects that cannot be distinguished from the first.
-        gap: of the tiles' colours.
-        nearest: the effect that comes nearest, where none is named.
-        beyond: parameter of the nearest that is beyond its range, and the value that the images ask
-            for.
-    """
-    if verdict is Verdict.NO_GAP:
-        return "Images: no gap beyond noise and the twin's own error."
-    if verdict is Verdict.UNKNOWN:
-        text = "Images: they differ from the twin's, and no effect of the library explains it."
-        if nearest is not None:
-            text += f" The nearest is: {amid(nearest.title)}"
-            text += "." if beyond is None else f", but the images {_asked(*beyond)}."
-        return text
-    parts = [
-        f"{amid(effect.title)} is missing: {', '.join(shown(e) for e in estimates)}"
-        for effect, estimates in named
-    ]
-    text = "Images: " + "; and ".join(parts)
-    text += (
-        f"; gap of the colours: {gap.recalibrated:.3g} -> {gap.after:.3g} grey levels (floor "
-        f"{gap.floor:.2g})."
+def _not_decided(facts: Facts) -> str:
+    return (
+        f"Not decided: simulation and measurement disagree, most in {facts.place}, and what "
+        f"explains it best is: {facts.doubted}. Only {facts.stability:.0%} of bootstrap "
+        "repetitions over trajectories ask for it; record more trajectories."
     )
-    if alternatives:
-        others = ", ".join(effect.title for effect in alternatives)
-        text += f" The images do not distinguish it from: {others}."
-    return text
+
+
+def _unknown(facts: Facts) -> str:
+    text = (
+        "Unknown effect: simulation and measurement disagree, and no effect of the library "
+        f"explains it. It is largest in {facts.place}."
+    )
+    if not facts.nearest:
+        return text
+    text += f" The nearest is: {amid_all(facts.nearest, are_two=True)}"
+    if facts.beyond is not None:
+        text += f", but the data {_asked(*facts.beyond)}"
+    if facts.left_open is not None:
+        closes = "it closes" if len(facts.nearest) == 1 else "together they close"
+        text += f", but {closes} {facts.left_open:.0%} of the held-out trajectories' gap"
+    if facts.sizes is not None:
+        first = facts.nearest[0].parameters[0]
+        skin, force = (f"{size:.2g}{_unit(first)}" for size in facts.sizes)
+        text += (
+            f", but the skin gives {first.name} = {skin} and the force {force}: they should agree"
+        )
+    return f"{text}."
+
+
+def _missing(facts: Facts) -> str:
+    text = "; and ".join(
+        f"{effect.title} is missing: {', '.join(map(shown, estimates))}"
+        for effect, estimates in facts.named
+    )
+    closing = "; ".join(f"{gap.channel} {_closing(gap, gap.unit)}" for gap in facts.gaps)
+    where = "held-out gap" if facts.is_held_out else "gap of the data searched, none being held out"
+    text += f"; {where}: {closing}." if closing else "."
+    return text + _not_distinguished("data", facts)
+
+
+def _unknown_in_images(facts: Facts) -> str:
+    text = "Images: they differ from the twin's, and no effect of the library explains it."
+    if not facts.nearest:
+        return text
+    but = "" if facts.beyond is None else f", but the images {_asked(*facts.beyond)}"
+    return f"{text} The nearest is: {amid(facts.nearest[0].title)}{but}."
+
+
+def _missing_in_images(facts: Facts) -> str:
+    text = "Images: " + "; and ".join(
+        f"{amid(effect.title)} is missing: {', '.join(map(shown, estimates))}"
+        for effect, estimates in facts.named
+    )
+    text += f"; gap of the colours: {_closing(facts.gaps[0], 'grey levels')}."
+    return text + _not_distinguished("images", facts)
+
+
+def _closing(gap: ChannelGap, unit: str) -> str:
+    return f"{gap.recalibrated:.3g} -> {gap.after:.3g} {unit} (floor {gap.floor:.2g})"
+
+
+def _not_distinguished(data: str, facts: Facts) -> str:
+    others = ", ".join(effect.title for effect in facts.alternatives)
+    return f" The {data} do not distinguish it from: {others}." if others else ""
 
 
 def _asked(parameter: EffectParameter, value: float) -> str:
     """Return that a value is asked for which is beyond the plausible range."""
-    unit = f" {parameter.unit}" if parameter.unit else ""
+    unit = _unit(parameter)
     return (
         f"ask for {parameter.name} = {value:.2g}{unit}, and its plausible range is "
         f"{parameter.low:g} to {parameter.high:g}{unit}"
     )
+
+
+def _unit(parameter: EffectParameter | Estimate) -> str:
+    return f" {parameter.unit}" if parameter.unit else ""
 
 
 def weighed(effect: Effect, estimate: Estimate, names: Sequence[str]) -> str:
@@ -260,6 +267,26 @@ def weight_without_reference(names: Sequence[str]) -> str:
     )
 
 
+def certainty_warnings(
+    found: str, stability: float | None, named: Sequence[tuple[Effect, Sequence[Estimate]]]
+) -> list[str]:
+    """Return what is uncertain of a name, and of the sizes of named effects.
+
+    Args:
+        found: what has the name.
+        stability: share of the bootstrap repetitions that give it; None where nothing is named.
+        named: effects with their estimates.
+    """
+    texts = []
+    if stability is not None and stability < decision.STABLE_SHARE:
+        texts.append(
+            f"the name{found} is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions "
+            "over trajectories agree; record more trajectories"
+        )
+    reached = [reaches_end(effect, estimates[0]) for effect, estimates in named]
+    return [*texts, *(text for text in reached if text is not None)]
+
+
 def reaches_end(effect: Effect, estimate: Estimate) -> str | None:
     """Return that an interval reaches the end of the plausible range, None for one that does not.
 
@@ -271,22 +298,15 @@ def reaches_end(effect: Effect, estimate: Estimate) -> str | None:
     ends = [end for end in map(first.end_at, (estimate.low, estimate.high)) if end is not None]
     if not ends:
         return None
-    unit = f" {first.unit}" if first.unit else ""
     return (
         f"the interval of {effect.name}.{first.name} reaches the end of its range, {ends[0]:.3g}"
-        f"{unit}: the data do not say how large it is, and it may stand for something else that "
-        "looks alike"
+        f"{_unit(first)}: the data do not say how large it is, and it may stand for something else "
+        "that looks alike"
     )
 
 
 def image_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int) -> list[str]:
-    """Return what limits the conclusions from images.
-
-    Args:
-        noise_sensor, noise_source: whose images the thresholds come from, and which.
-        sensor: name of the twin.
-        count: of the trajectories with images.
-    """
+    """Return what limits the conclusions from images."""
     texts = []
     if noise_sensor != sensor:
         texts.append(

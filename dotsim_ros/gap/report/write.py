@@ -13,9 +13,9 @@ from typing import Any
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.overlay import FILE_NAME, Overlay, overlay_text
 from dotsim_ros.gap.findings import Findings, Verdict, as_record
-from dotsim_ros.gap.report.sections import page_of
+from dotsim_ros.gap.report.page import report_files
 from dotsim_ros.io.documents import read_json
-from dotsim_ros.io.page import HTML, page_files
+from dotsim_ros.io.page import HTML
 from dotsim_ros.io.provenance import provenance
 from dotsim_ros.io.replacement import finish_replacement, replace_files
 
@@ -62,7 +62,7 @@ def write_report(
             FILE_NAME: None if overlay is None else overlay_text(overlay).encode(),
             FINDINGS: _json(as_record(findings)),
             PROVENANCE: _json(origin),
-            **page_files(page_of(findings, origin, effects)),
+            **report_files(findings, origin, effects),
         },
         keep_as=REPORT_BEFORE if is_unusable and not _is_unusable(directory / FINDINGS) else None,
     )
