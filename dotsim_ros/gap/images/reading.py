@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.data.data_set import find_indenter, read_data_set
+from dotsim_ros.data.data_set import DataSet, find_indenter, read_data_set
 from dotsim_ros.data.reading import read_press_images, starts_in_session
 from dotsim_ros.data.recording import Recording, Span, recording_of
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
