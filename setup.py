@@ -36,6 +36,8 @@ TEST = [
     # the options of studies, from the functions that they call
     "cyclopts>=5",
     "cyclonedds>=0.10.5",
+    # a ray tracer that shares no code with the package's own
+    "embreex>=2.17.7.post5",
     "hypothesis",
     "imageio>=2.22",
     # drives the Chromium that the system has
@@ -145,7 +147,6 @@ setup(
     data_files=shared_files(),
     install_requires=[
         "POT>=0.9",
-        "embreex>=2.17.7.post5",
         "imageio-ffmpeg>=0.4.9",
         # the pages of reports
         "jinja2>=3.1",

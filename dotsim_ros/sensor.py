@@ -28,10 +28,9 @@ from dotsim_ros.io.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.io.files import whole_file, write_image
 from dotsim_ros.io.progress import FirstTimeNotice
 from dotsim_ros.io.warp_runtime import say_if_kernels_compile
-from dotsim_ros.optics.flow import image_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, part_of_idle
 from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.network.loading import completion_network
+from dotsim_ros.optics.network import completion_network
 from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.picture import frame_picture
@@ -591,7 +590,7 @@ class TactileSensor:
         """
         with self._images:
             view = self._renderer.render(after_m)
-        return image_motion_px(view, self.skin.triangles, self.camera.project(before_m))
+        return view.motion_px(self.skin.triangles, self.camera.project(before_m))
 
     def marker_motion(self, skin_position_m: FloatArray) -> MarkerMotion:
         """Return where the markers that are printed on the skin are at rest and now.

@@ -391,38 +391,3 @@ CAMERAS: dict[str, type[Camera]] = {
     kind.projection: kind for kind in (FisheyeCamera, PinholeCamera)
 }
 """By their projection."""
-
-
-def camera_of_disc(
-    width: int,
-    height: int,
-    *,
-    centre_px: ArrayLike,
-    radius_px: float,
-    rim_angle_deg: float,
-    pose: Pose,
-) -> FisheyeCamera:
-    """Return the undistorted camera of an image of which only the lit disc is known.
-
-    Args:
-        width: pixels along x.
-        height: pixels along y.
-        centre_px: (2,) the disc's centre, x then y.
-        radius_px: the disc's radius.
-        rim_angle_deg: the angle from the optical axis that the disc's rim shows.
-        pose: the optical frame in the base frame.
-
-    Raises:
-        ValueError: radius or angle is not positive, or the angle exceeds 180 degrees.
-    """
-    if not radius_px > 0.0:
-        raise ValueError(f"radius_px is {radius_px}, expected a positive number of pixels")
-    if not 0.0 < rim_angle_deg <= 180.0:
-        raise ValueError(f"rim_angle_deg is {rim_angle_deg}, expected above 0 and at most 180")
-    return FisheyeCamera(
-        width=width,
-        height=height,
-        focal_px=radius_px / np.radians(rim_angle_deg),
-        principal_point_px=np.asarray(centre_px, dtype=np.float64),
-        pose=pose,
-    )

@@ -10,6 +10,10 @@ identify the samples between: those whose warped image fits the measured ones be
 squares. (Super-resolution from known motion; Elad and Feuer, "Restoration of a
 single superresolution image from several blurred, noisy, and undersampled measured images", 1997.)
 The samples at the idle image's own pixels lose noise in the same solve.
+
+The solve begins with the mean of all that was seen of the gel untouched. A press begins off the
+gel, so its first frames show what the idle images show, each with noise of its own; what idle
+images taken together share (a path tracer's noise, the flicker of lights) they average out.
 """
 
 from __future__ import annotations
@@ -24,13 +28,14 @@ from scipy.sparse.linalg import cg
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
-from dotsim_ros.learning.untouched import with_refined_idle
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
-from dotsim_ros.twin.footage import FilmedData
+from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
+UNMOVED_M = 1e-6
+"""A gel no point of which has moved farther is untouched."""
 PRIOR_WEIGHT = 0.7
 """Weight of a sample interpolated in the idle image, relative to one measured pixel."""
 OUTLIER_LEVELS = 10.0
@@ -40,6 +45,29 @@ LEAST_GAIN = 0.2
 ROUNDS = 2
 ITERATIONS = 60
 TOLERANCE = 1e-4
+
+
+def untouched_frames(press: FilmedPress, filmed: FilmedData) -> list[int]:
+    """Return the frames of a press before its gel moved."""
+    moved_m = np.abs(press.skin_position_m - filmed.skin.rest_position_m).max(axis=(1, 2))
+    moving = np.flatnonzero(moved_m > UNMOVED_M)
+    return list(range(int(moving[0]) if moving.size else len(moved_m)))
+
+
+def refined_idle(filmed: FilmedData, presses: Sequence[str] | None = None) -> ImageArray:
+    """Return the mean (H, W, 3) of the idle image and the untouched frames of presses.
+
+    The idle image counts as one frame: idle images taken at once may share their noise.
+
+    Args:
+        filmed: what was measured.
+        presses: names of those whose frames may be used, such as those trained on; None for all.
+    """
+    images = [filmed.idle]
+    for press in filmed.presses:
+        if presses is None or press.name in presses:
+            images.extend(press.measured[frame] for frame in untouched_frames(press, filmed))
+    return np.rint(np.mean(images, axis=0)).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -74,7 +102,7 @@ def with_learned_pattern(
         vignetting: of the camera.
         presses: names of those to learn from, such as those trained on; None for all.
     """
-    filmed = with_refined_idle(filmed, presses)
+    filmed = replace(filmed, idle=refined_idle(filmed, presses))
     learn_from = [p for p in filmed.presses if presses is None or p.name in presses]
     renderer = SkinRenderer(camera, filmed.skin)
     image = ImageRenderer(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,11 +22,11 @@ from dotsim_ros.io.provenance import provenance
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork, check_width, fit_network
 from dotsim_ros.learning.pattern import with_learned_pattern
-from dotsim_ros.learning.preview import write_preview
 from dotsim_ros.learning.recipe import check_epochs
 from dotsim_ros.learning.training import TrainingProgress
 from dotsim_ros.optics.idle import description_of, fine_path, lights_of
 from dotsim_ros.optics.network.card import NetworkCard
+from dotsim_ros.optics.picture import change_image, titled
 from dotsim_ros.specification import SensorSpecification, write_sensor
 from dotsim_ros.twin.footage import (
     FilmedData,
@@ -42,6 +42,8 @@ IDLE = "idle.png"
 SENSOR = "sensor.yaml"
 PREVIEW = "preview.png"
 REPORT = "training.json"
+COLUMNS = ("measured", "warped", "predicted", "error of warped x4", "error of predicted x4")
+ERROR_GAIN = 4.0
 
 
 @dataclass(frozen=True)
@@ -216,3 +218,34 @@ def _named(path: Path) -> str:
     if path.is_relative_to(parameters):
         return path.relative_to(parameters).as_posix()
     return str(path)
+
+
+def write_preview(
+    path: Path, presses: Sequence[OpticalPress], predicted: Sequence[ImageArray], *, rows: int = 6
+) -> None:
+    """Write the deepest frame of each press, a row each, as PNG.
+
+    Args:
+        path: of the file.
+        presses: what was measured; presses beyond `rows` are thinned evenly.
+        predicted: images (F, H, W, 3) of each press.
+        rows: most rows.
+    """
+    chosen = np.unique(np.linspace(0, len(presses) - 1, min(rows, len(presses))).astype(int))
+    lines = []
+    for index in chosen:
+        press = presses[index]
+        frame = int(np.argmax(press.tip_depth_m))
+        measured, warped = press.measured[frame], press.warped[frame]
+        image = predicted[index][frame]
+        errors = [change_image(measured, shown, ERROR_GAIN) for shown in (warped, image)]
+        titles = (f"{press.name}, frame {frame}: {COLUMNS[0]}", *COLUMNS[1:])
+        lines.append(
+            np.hstack(
+                [
+                    titled(*pair)
+                    for pair in zip((measured, warped, image, *errors), titles, strict=True)
+                ]
+            )
+        )
+    write_image(path, np.vstack(lines))

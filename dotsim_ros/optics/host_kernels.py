@@ -10,7 +10,7 @@ last bit; the tests hold both against each other. The types are those of Clang, 
 for a CPU with: any CPU has them, whatever the width of its registers. Threads share a frame by
 bands of rows (`bands`), so a kernel writes to the rows that it is given alone.
 
-`fill_view` and `warp_idle` take what their namesakes in `kernels` take.
+`launch_dim`, `fill_view` and `warp_idle` take what their namesakes in `kernels` take.
 """
 
 # Kernels are Warp's language, whose types are none of a type checker's.
@@ -26,6 +26,12 @@ LANES = 8
 
 _NO_TRIANGLE = wp.constant(NO_TRIANGLE)
 _CRACK_TOLERANCE = wp.constant(1.0e-5)
+
+
+def launch_dim(rows: int, _width: int) -> tuple[int, int]:
+    """Return the threads of a kernel that runs over the pixels of rows: one a row."""
+    return rows, 1
+
 
 _NEAREST_IN_BOX = """
     typedef float lanes __attribute__((vector_size(32), aligned(4), may_alias));
@@ -175,7 +181,7 @@ def rasterize(
     )
 
 
-_FILL_BLOCK = """
+_FILL_ROW = """
     typedef float four __attribute__((vector_size(16)));
     const auto load = [](const wp::vec_t<3, float>& v) -> four {
         return four{v[0], v[1], v[2], 0.0f};
@@ -187,7 +193,8 @@ _FILL_BLOCK = """
     int loaded = no_triangle;
     four rest[3] = {};
     four outward[3] = {};
-    for (int at = first; at < end; ++at) {
+    const int end = (row + 1) * triangle_seen.shape[1];
+    for (int at = end - triangle_seen.shape[1]; at < end; ++at) {
         const int face = triangle_seen.data[at];
         if (face == no_triangle) {
             store(nothing, normal.data[at]);
@@ -221,10 +228,9 @@ _FILL_BLOCK = """
 """
 
 
-@wp.func_native(_FILL_BLOCK)
-def fill_block(
-    first: int,
-    end: int,
+@wp.func_native(_FILL_ROW)
+def fill_row(
+    row: int,
     no_triangle: int,
     triangle_seen: wp.array2d(dtype=wp.int32),
     ray: wp.array2d(dtype=wp.vec3),
@@ -236,7 +242,7 @@ def fill_block(
     depth: wp.array2d(dtype=wp.float32),
     barycentric: wp.array2d(dtype=wp.vec2),
 ):
-    """Fill the pixels from one number, counted through the image, to another."""
+    """Fill the pixels of a row."""
     ...
 
 
@@ -247,18 +253,15 @@ def fill_view(
     triangles: wp.array2d(dtype=wp.int32),
     vertex_normal: wp.array(dtype=wp.vec3),
     rest_position: wp.array(dtype=wp.vec3),
-    run: int,
     normal: wp.array2d(dtype=wp.vec3),
     material_point: wp.array2d(dtype=wp.vec3),
     depth: wp.array2d(dtype=wp.float32),
     barycentric: wp.array2d(dtype=wp.vec2),
 ):
     """`kernels.fill_view`, the three parts of a vector at once."""
-    y, block = wp.tid()
-    width = triangle_seen.shape[1]
-    fill_block(
-        y * width + block * run,
-        y * width + wp.min(block * run + run, width),
+    row, _ = wp.tid()
+    fill_row(
+        row,
         _NO_TRIANGLE,
         triangle_seen,
         ray,
@@ -272,7 +275,7 @@ def fill_view(
     )
 
 
-_WARP_BLOCK = """
+_WARP_ROW = """
     typedef float four __attribute__((vector_size(16), aligned(4), may_alias));
     typedef int levels __attribute__((vector_size(16)));
     const auto load = [](const wp::vec_t<3, float>& v) -> four {
@@ -300,8 +303,9 @@ _WARP_BLOCK = """
     int loaded = no_triangle;
     wp::vec_t<2, float> back[3];
     four bright[3] = {};
-    for (int x = x_first; x < x_end; ++x) {
-        const int at = y * triangle_seen.shape[1] + x;
+    const int width = triangle_seen.shape[1];
+    for (int x = 0; x < width; ++x) {
+        const int at = y * width + x;
         const int face = triangle_seen.data[at];
         unsigned char* colour = image.data + 3 * at;
         if (face == no_triangle || lit.data[at] == 0) {
@@ -343,11 +347,9 @@ _WARP_BLOCK = """
 """
 
 
-@wp.func_native(_WARP_BLOCK)
-def warp_block(
+@wp.func_native(_WARP_ROW)
+def warp_row(
     y: int,
-    x_first: int,
-    x_end: int,
     no_triangle: int,
     triangle_seen: wp.array2d(dtype=wp.int32),
     barycentric: wp.array2d(dtype=wp.vec2),
@@ -361,7 +363,7 @@ def warp_block(
     idle: wp.array3d(dtype=wp.uint8),
     image: wp.array3d(dtype=wp.uint8),
 ):
-    """Colour the pixels of a row from one column to another."""
+    """Colour the pixels of a row."""
     ...
 
 
@@ -378,15 +380,12 @@ def warp_idle(
     fine_flat: wp.array2d(dtype=wp.vec3),
     idle: wp.array3d(dtype=wp.uint8),
     row_first: int,
-    run: int,
     image: wp.array3d(dtype=wp.uint8),
 ):
     """`kernels.warp_idle`, the three colours at once."""
-    row, block = wp.tid()
-    warp_block(
+    row, _ = wp.tid()
+    warp_row(
         row_first + row,
-        block * run,
-        wp.min(block * run + run, lit.shape[1]),
         _NO_TRIANGLE,
         triangle_seen,
         barycentric,

@@ -12,7 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dotsim_ros.geometry.camera import Camera, camera_of_disc
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import BoolArray, ImageArray
 from dotsim_ros.io.documents import read_yaml
 from dotsim_ros.io.files import given_path, read_image
@@ -46,6 +47,23 @@ class LitDisc:
     centre_px: tuple[float, float]
     radius_px: float
     rim_angle_deg: float
+
+    def camera(self, width: int, height: int, pose: Pose) -> FisheyeCamera:
+        """Return the undistorted camera of an image of a size (px), at the pose of its optical
+        frame in the base frame.
+
+        Raises:
+            ValueError: radius or angle is not positive, or the angle exceeds 180 degrees.
+        """
+        if not self.radius_px > 0.0:
+            raise ValueError(f"radius_px is {self.radius_px}, expected a positive number of pixels")
+        if not 0.0 < self.rim_angle_deg <= 180.0:
+            raise ValueError(
+                f"rim_angle_deg is {self.rim_angle_deg}, expected above 0 and at most 180"
+            )
+        focal_px = self.radius_px / np.radians(self.rim_angle_deg)
+        centre_px = np.asarray(self.centre_px, dtype=np.float64)
+        return FisheyeCamera(width, height, focal_px, centre_px, pose=pose)
 
 
 def check_image(image: ImageArray) -> None:
@@ -166,15 +184,7 @@ def fit_idle_image(image: ImageArray, camera: Camera, *, disc: LitDisc | None = 
             f"idle image has no pixel above grey level {DARK_LEVEL}; expected the lit gel"
         )
     if disc is not None:
-        source: Camera = camera_of_disc(
-            width,
-            height,
-            centre_px=disc.centre_px,
-            radius_px=disc.radius_px,
-            rim_angle_deg=disc.rim_angle_deg,
-            pose=camera.pose,
-        )
-        return resample(image, source, camera)
+        return resample(image, disc.camera(width, height, camera.pose), camera)
     if (width, height) == (camera.width, camera.height):
         return image.copy()
     try:
@@ -288,10 +298,10 @@ def read_idle_frame(
     """
     image = _read_image(path)
     description = path.with_suffix(".yaml")
-    disc, lighting, vignetting = None, lighting or Lighting(), vignetting or Vignetting()
-    lens_deg = None
+    disc, lens_deg = None, None
+    lighting, vignetting = lighting or Lighting(), vignetting or Vignetting()
     if description.exists():
-        read = _read_sections(description)
+        read = read_description(description)
         disc, lens_deg = read.disc, read.half_height_angle_deg
         lighting, vignetting = read.lights()
     try:
@@ -323,8 +333,14 @@ def _numbers(section: dict[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class _Description:
-    """What the file next to an idle image says: None for what it does not."""
+class IdleDescription:
+    """What the file next to an idle image says; see `read_idle_frame`.
+
+    Attributes:
+        disc: where the lit disc lies; None where the image shows the camera's own view.
+        half_height_angle_deg: of the lens that it was taken through; None where it is not known.
+        lighting, vignetting: of the sensor that it shows.
+    """
 
     disc: LitDisc | None
     half_height_angle_deg: float | None
@@ -332,13 +348,20 @@ class _Description:
     vignetting: VignettingSpecification
 
     def lights(self) -> tuple[Lighting, Vignetting]:
+        """Return lights and vignetting, ready for rendering."""
         return (
             Lighting.from_specification(self.lighting),
             Vignetting.from_specification(self.vignetting),
         )
 
 
-def _read_sections(path: Path) -> _Description:
+def read_description(path: Path) -> IdleDescription:
+    """Read what is known of an idle image.
+
+    Raises:
+        ValueError: an entry is unknown, missing, of the wrong type or out of range; the message
+            names the file.
+    """
     try:
         document = read_yaml(path) or {}
         known = ("disc", "lens", "lighting", "vignetting")
@@ -354,7 +377,7 @@ def _read_sections(path: Path) -> _Description:
                     f"lens is {document['lens']}, expected half_height_angle_deg, above 0 and at "
                     "most 180 degrees"
                 )
-        return _Description(
+        return IdleDescription(
             LitDisc(**_numbers(document["disc"])) if "disc" in document else None,
             lens_deg,
             section_from(LightingSpecification, "lighting", document.get("lighting")),
@@ -362,17 +385,6 @@ def _read_sections(path: Path) -> _Description:
         )
     except (TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{path} describes no idle image: {error}") from error
-
-
-def read_description(path: Path) -> tuple[LitDisc | None, Lighting, Vignetting]:
-    """Read what is known of an idle image; see `read_idle_frame`.
-
-    Raises:
-        ValueError: an entry is unknown, missing, of the wrong type or out of range; the message
-            names the file.
-    """
-    read = _read_sections(path)
-    return (read.disc, *read.lights())
 
 
 def description_of(sensor: SensorSpecification) -> Path | None:
@@ -400,7 +412,7 @@ def stated_lights(
     description = description_of(sensor)
     if description is None:
         return sensor.lighting, sensor.vignetting
-    read = _read_sections(description)
+    read = read_description(description)
     return read.lighting, read.vignetting
 
 

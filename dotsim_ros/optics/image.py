@@ -170,7 +170,6 @@ class ImageRenderer:
         self._lighting = lighting or Lighting()
         self._device = wp.get_device(device)
         self.pixel_kernels = host_kernels if self._device.is_cpu else kernels
-        self._run = camera.width if self._device.is_cpu else 1
         if band_count is None:
             band_count = thread_count() if self._device.is_cpu else 1
         self._band_count = band_count
@@ -250,7 +249,7 @@ class ImageRenderer:
         def warp_idle(first: int, end: int) -> wp.Launch:
             return wp.launch(
                 self.pixel_kernels.warp_idle,
-                dim=(end - first, self._camera.width // self._run),
+                dim=self.pixel_kernels.launch_dim(end - first, self._camera.width),
                 inputs=[
                     triangle,
                     barycentric,
@@ -263,7 +262,6 @@ class ImageRenderer:
                     self._fine_flat,
                     self._idle,
                     first,
-                    self._run,
                 ],
                 outputs=[image],
                 device=self._device,

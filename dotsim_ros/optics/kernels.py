@@ -20,6 +20,11 @@ _REACH = wp.constant(1.0)
 _NAN = wp.constant(float("nan"))
 
 
+def launch_dim(rows: int, width: int) -> tuple[int, int]:
+    """Return the threads of a kernel that runs over the pixels of rows: one a pixel."""
+    return rows, width
+
+
 @wp.struct
 class Lens:
     """A projection: pixels a radian at the axis along x and y, principal point, coefficients,
@@ -117,51 +122,39 @@ def fill_view(
     triangles: wp.array2d(dtype=wp.int32),
     vertex_normal: wp.array(dtype=wp.vec3),
     rest_position: wp.array(dtype=wp.vec3),
-    run: int,
     normal: wp.array2d(dtype=wp.vec3),
     material_point: wp.array2d(dtype=wp.vec3),
     depth: wp.array2d(dtype=wp.float32),
     barycentric: wp.array2d(dtype=wp.vec2),
 ):
-    """Normal towards the camera and material point of `run` pixels; no numbers where no skin is.
-
-    Neighbouring pixels mostly see one triangle, whose corners are read once.
-    """
-    y, block = wp.tid()
-    loaded = int(_NO_TRIANGLE)
-    nothing = wp.vec3(_NAN, _NAN, _NAN)
-    rest = wp.vec3(0.0, 0.0, 0.0)
-    rest_b = wp.vec3(0.0, 0.0, 0.0)
-    rest_c = wp.vec3(0.0, 0.0, 0.0)
-    outward = wp.vec3(0.0, 0.0, 0.0)
-    outward_b = wp.vec3(0.0, 0.0, 0.0)
-    outward_c = wp.vec3(0.0, 0.0, 0.0)
-    for x in range(block * run, wp.min(block * run + run, ray.shape[1])):
-        face = triangle_seen[y, x]
-        if face == _NO_TRIANGLE:
-            normal[y, x] = nothing
-            material_point[y, x] = nothing
-            depth[y, x] = _NAN
-            barycentric[y, x] = wp.vec2(0.0, 0.0)
-        else:
-            if face != loaded:
-                loaded = face
-                i0 = triangles[face, 0]
-                i1 = triangles[face, 1]
-                i2 = triangles[face, 2]
-                rest = rest_position[i0]
-                rest_b = rest_position[i1] - rest
-                rest_c = rest_position[i2] - rest
-                outward = vertex_normal[i0]
-                outward_b = vertex_normal[i1] - outward
-                outward_c = vertex_normal[i2] - outward
-            weight = barycentric[y, x]
-            material_point[y, x] = rest + weight[0] * rest_b + weight[1] * rest_c
-            towards = outward + weight[0] * outward_b + weight[1] * outward_c
-            length = wp.length(towards)
-            if wp.dot(towards, ray[y, x]) > 0.0:
-                length = -length
-            normal[y, x] = towards / length
+    """Normal towards the camera and material point of a pixel; no numbers where no skin is."""
+    y, x = wp.tid()
+    face = triangle_seen[y, x]
+    if face == _NO_TRIANGLE:
+        nothing = wp.vec3(_NAN, _NAN, _NAN)
+        normal[y, x] = nothing
+        material_point[y, x] = nothing
+        depth[y, x] = _NAN
+        barycentric[y, x] = wp.vec2(0.0, 0.0)
+        return
+    i0 = triangles[face, 0]
+    i1 = triangles[face, 1]
+    i2 = triangles[face, 2]
+    weight = barycentric[y, x]
+    rest = rest_position[i0]
+    outward = vertex_normal[i0]
+    material_point[y, x] = (
+        rest + weight[0] * (rest_position[i1] - rest) + weight[1] * (rest_position[i2] - rest)
+    )
+    towards = (
+        outward
+        + weight[0] * (vertex_normal[i1] - outward)
+        + weight[1] * (vertex_normal[i2] - outward)
+    )
+    length = wp.length(towards)
+    if wp.dot(towards, ray[y, x]) > 0.0:
+        length = -length
+    normal[y, x] = towards / length
 
 
 @wp.struct
@@ -238,58 +231,41 @@ def warp_idle(
     fine_flat: wp.array2d(dtype=wp.vec3),
     idle: wp.array3d(dtype=wp.uint8),
     row_first: int,
-    run: int,
     image: wp.array3d(dtype=wp.uint8),
 ):
-    """Colour of `run` pixels of a row, counted from one on: the idle frame where the material point
-    lay, times its gain.
+    """Colour of a pixel, rows counted from one on: the idle frame where the material point lay,
+    times its gain.
 
     The idle pixel is the pixel plus the interpolated way back of the triangle's corners, which is
     exactly zero at rest, and exact to first order in the size of a triangle elsewhere. The idle
     frame has twice the resolution (2 H - 1, 2 W - 1).
     """
-    row_number, block = wp.tid()
+    row_number, x = wp.tid()
     y = row_first + row_number
-    last_x = float(fine_flat.shape[1] - 1)
-    last_y = float(fine_flat.shape[0] - 1)
-    loaded = int(_NO_TRIANGLE)
-    back = wp.vec2(0.0, 0.0)
-    back_b = wp.vec2(0.0, 0.0)
-    back_c = wp.vec2(0.0, 0.0)
-    bright = wp.vec3(0.0, 0.0, 0.0)
-    bright_b = wp.vec3(0.0, 0.0, 0.0)
-    bright_c = wp.vec3(0.0, 0.0, 0.0)
-    for x in range(block * run, wp.min(block * run + run, lit.shape[1])):
-        face = triangle_seen[y, x]
-        if face == _NO_TRIANGLE or lit[y, x] == wp.uint8(0):
-            for channel in range(3):
-                image[y, x, channel] = idle[y, x, channel]
-        else:
-            if face != loaded:
-                loaded = face
-                i0 = triangles[face, 0]
-                i1 = triangles[face, 1]
-                i2 = triangles[face, 2]
-                back = rest_pixel[i0] - pixel[i0]
-                back_b = rest_pixel[i1] - pixel[i1] - back
-                back_c = rest_pixel[i2] - pixel[i2] - back
-                bright = gain[i0]
-                bright_b = gain[i1] - bright
-                bright_c = gain[i2] - bright
-            weight = barycentric[y, x]
-            way = back + weight[0] * back_b + weight[1] * back_c
-            fine_x = wp.clamp(2.0 * (float(x) + way[0]), 0.0, last_x)
-            fine_y = wp.clamp(2.0 * (float(y) + way[1]), 0.0, last_y)
-            # The last sample is reached as the far end of the last cell.
-            column = wp.min(int(fine_x), fine_flat.shape[1] - 2)
-            row = wp.min(int(fine_y), fine_flat.shape[0] - 2)
-            right = fine_x - float(column)
-            down = fine_y - float(row)
-            upper = (1.0 - right) * fine_flat[row, column] + right * fine_flat[row, column + 1]
-            lower = (1.0 - right) * fine_flat[row + 1, column] + right * fine_flat[
-                row + 1, column + 1
-            ]
-            brightness = bright + weight[0] * bright_b + weight[1] * bright_c
-            colour = wp.cw_mul((1.0 - down) * upper + down * lower, brightness) * vignetting[y, x]
-            for channel in range(3):
-                image[y, x, channel] = wp.uint8(wp.clamp(colour[channel], 0.0, 255.0) + 0.5)
+    face = triangle_seen[y, x]
+    if face == _NO_TRIANGLE or lit[y, x] == wp.uint8(0):
+        for channel in range(3):
+            image[y, x, channel] = idle[y, x, channel]
+        return
+    i0 = triangles[face, 0]
+    i1 = triangles[face, 1]
+    i2 = triangles[face, 2]
+    weight = barycentric[y, x]
+    back = rest_pixel[i0] - pixel[i0]
+    back_b = rest_pixel[i1] - pixel[i1] - back
+    back_c = rest_pixel[i2] - pixel[i2] - back
+    bright = gain[i0]
+    way = back + weight[0] * back_b + weight[1] * back_c
+    brightness = bright + weight[0] * (gain[i1] - bright) + weight[1] * (gain[i2] - bright)
+    fine_x = wp.clamp(2.0 * (float(x) + way[0]), 0.0, float(fine_flat.shape[1] - 1))
+    fine_y = wp.clamp(2.0 * (float(y) + way[1]), 0.0, float(fine_flat.shape[0] - 1))
+    # The last sample is reached as the far end of the last cell.
+    column = wp.min(int(fine_x), fine_flat.shape[1] - 2)
+    row = wp.min(int(fine_y), fine_flat.shape[0] - 2)
+    right = fine_x - float(column)
+    down = fine_y - float(row)
+    upper = (1.0 - right) * fine_flat[row, column] + right * fine_flat[row, column + 1]
+    lower = (1.0 - right) * fine_flat[row + 1, column] + right * fine_flat[row + 1, column + 1]
+    colour = wp.cw_mul((1.0 - down) * upper + down * lower, brightness) * vignetting[y, x]
+    for channel in range(3):
+        image[y, x, channel] = wp.uint8(wp.clamp(colour[channel], 0.0, 255.0) + 0.5)

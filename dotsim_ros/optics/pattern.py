@@ -253,7 +253,7 @@ def main() -> None:
     description = arguments.out.with_suffix(".yaml")
     if not description.exists():
         _describe(sensor, description)
-    _, lighting, vignetting = read_description(description)
+    lighting, vignetting = read_description(description).lights()
     image = render_idle_image(
         Camera.from_specification(sensor.camera),
         sensor.gel,

@@ -54,10 +54,11 @@ def frame_picture(image: ImageArray, idle_image: ImageArray, range_m: Float32Arr
         f"range {1e3 * near_m:.1f} to {1e3 * far_m:.1f} mm",
     )
     panels = (image, change_image(image, idle_image), coloured)
-    return np.hstack([_titled(*pair) for pair in zip(panels, titles, strict=True)])
+    return np.hstack([titled(*pair) for pair in zip(panels, titles, strict=True)])
 
 
-def _titled(panel: ImageArray, title: str) -> ImageArray:
+def titled(panel: ImageArray, title: str) -> ImageArray:
+    """Return an image (H, W, 3) below a line of `TITLE_HEIGHT_PX` with its title."""
     width = panel.shape[1]
     line = np.full((TITLE_HEIGHT_PX, width, 3), BACKGROUND, dtype=np.uint8)
     font = cv2.FONT_HERSHEY_SIMPLEX

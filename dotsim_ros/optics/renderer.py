@@ -18,17 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.io.arrays import BoolArray, Float32Array, IndexArray
+from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, IndexArray
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands, thread_count
 from dotsim_ros.optics.frame_memory import FrameMemory
 from dotsim_ros.optics.visibility import (
-    EmbreeFinder,
     RasterFinder,
     RayQueryFinder,
     Visibility,
-    VisibilityFinder,
     lens_of,
 )
 
@@ -64,6 +62,25 @@ class View:
         """Return (H, W) whether skin is seen."""
         return self.triangle != kernels.NO_TRIANGLE
 
+    def motion_px(self, triangles: IndexArray, pixel_before: FloatArray) -> FloatArray:
+        """Return how far (H, W, 2) what each pixel shows has moved in the image, x then y.
+
+        Args:
+            triangles: (T, 3) of the skin.
+            pixel_before: (V, 2) images of the vertices before; NaN where they had none.
+
+        Returns:
+            Pixels, linear within each triangle; zero where no skin is seen or it had no image
+            before.
+        """
+        moved: FloatArray = self.vertex_pixel.astype(np.float64) - pixel_before
+        second, third = self.barycentric[..., 0], self.barycentric[..., 1]
+        weight = np.stack([1.0 - second - third, second, third], axis=-1)
+        corners = triangles[np.where(self.mask, self.triangle, 0)]
+        motion = np.einsum("hwk,hwkc->hwc", weight, moved[corners])
+        seen = self.mask[..., None] & np.isfinite(motion)
+        return np.where(seen, motion, 0.0)
+
 
 def faces_around_vertices(
     triangles: IndexArray, vertex_count: int
@@ -94,7 +111,7 @@ class SkinRenderer:
 
     Raises:
         ValueError: the region is not of the camera's size, the image has too few pixels for the
-            rasteriser, or the rasteriser or Embree is asked for on a device that is no CPU.
+            rasteriser, or the rasteriser is asked for on a device that is not a CPU.
     """
 
     def __init__(
@@ -134,8 +151,6 @@ class SkinRenderer:
         self._faces_around = self._upload(faces, wp.int32)
         self._rest_position = self._upload(skin_mesh.rest_position_m.astype(np.float32), wp.vec3)
         self.pixel_kernels = host_kernels if self._device.is_cpu else kernels
-        # A CPU kernel costs less when one thread does a whole row.
-        self._run = camera.width if self._device.is_cpu else 1
         if band_count is None:
             band_count = thread_count() if self._device.is_cpu else 1
         self._bands = cut(camera.height, band_count)
@@ -146,12 +161,10 @@ class SkinRenderer:
 
     def _make_finder(
         self, visibility: Visibility, rays: Float32Array, band_count: int
-    ) -> VisibilityFinder:
+    ) -> RasterFinder | RayQueryFinder:
         match visibility:
             case Visibility.RASTER:
                 return RasterFinder(self.camera, rays, self._triangles, band_count)
-            case Visibility.EMBREE:
-                return EmbreeFinder(rays, self.skin_mesh.triangles)
             case Visibility.RAY_QUERY:
                 vertices = self._optical(self.skin_mesh.rest_position_m)
                 return RayQueryFinder(self._rays, self._triangles, vertices)
@@ -206,14 +219,13 @@ class SkinRenderer:
             rows = slice(first, end)
             return wp.launch(
                 self.pixel_kernels.fill_view,
-                dim=(end - first, self.camera.width // self._run),
+                dim=self.pixel_kernels.launch_dim(end - first, self.camera.width),
                 inputs=[
                     triangle[rows],
                     self._rays[rows],
                     self._triangles,
                     vertex_normal,
                     self._rest_position,
-                    self._run,
                 ],
                 outputs=[normal[rows], material_point[rows], depth[rows], barycentric[rows]],
                 device=self._device,

@@ -1,63 +1,35 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which triangle of the skin every pixel sees: three ways to the same answer.
+"""Which triangle of the skin every pixel sees: two ways to the same answer.
 
-All three send the same ray through each pixel's centre, in single precision.
+Both send the same ray through each pixel's centre, in single precision.
 
 - RASTER walks over the triangles and tests the pixels in the box around each: a CPU does a 640x480
   frame in a few milliseconds, since the skin's triangles are a few pixels large. Threads share it
   by bands of rows.
-- EMBREE traces the rays through Intel's Embree: the reference on a CPU, by a library that shares
-  no code with the others.
-- RAY_QUERY traces them through Warp's bounding-volume hierarchy: the way on CUDA.
+- RAY_QUERY traces the rays through Warp's bounding-volume hierarchy: the way on CUDA.
 """
 
 from __future__ import annotations
 
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
-from dotsim_ros.io.arrays import Float32Array, IndexArray
+from dotsim_ros.io.arrays import Float32Array
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands
-
-_MILLIMETRES = 1e3
 
 
 class Visibility(Enum):
     """The ways to find what a pixel sees."""
 
     RASTER = "raster"
-    EMBREE = "embree"
     RAY_QUERY = "ray_query"
-
-
-class VisibilityFinder(Protocol):
-    """Finds the nearest triangle along every ray from the origin of the optical frame."""
-
-    def find(
-        self,
-        position: wp.array,
-        pixel: wp.array,
-        triangle: wp.array,
-        barycentric: wp.array,
-        depth: wp.array,
-    ) -> None:
-        """Write what every pixel sees.
-
-        Args:
-            position: (V,) vec3 vertices in the optical frame, metres.
-            pixel: (V,) vec2 their images.
-            triangle: (H, W) int32, written: the triangle, or NO_TRIANGLE.
-            barycentric: (H, W) vec2, written where a triangle is seen: the weights of its second
-                and third corner.
-            depth: (H, W) float32, written where a triangle is seen: metres along the ray.
-        """
 
 
 def lens_of(camera: Camera) -> Any:
@@ -109,6 +81,16 @@ class RasterFinder:
         barycentric: wp.array,
         depth: wp.array,
     ) -> None:
+        """Write the nearest triangle along every ray from the origin of the optical frame.
+
+        Args:
+            position: (V,) vec3 vertices in the optical frame, metres.
+            pixel: (V,) vec2 their images.
+            triangle: (H, W) int32, written: the triangle, or NO_TRIANGLE.
+            barycentric: (H, W) vec2, written where a triangle is seen: the weights of its second
+                and third corner.
+            depth: (H, W) float32, written where a triangle is seen: metres along the ray.
+        """
         triangle.fill_(kernels.NO_TRIANGLE)
 
         def rasterize(first: int, end: int) -> wp.Launch:
@@ -139,6 +121,7 @@ class RayQueryFinder:
         barycentric: wp.array,
         depth: wp.array,
     ) -> None:
+        """Write what `RasterFinder.find` does."""
         wp.copy(self._mesh.points, position)
         self._mesh.refit()
         wp.launch(
@@ -148,34 +131,3 @@ class RayQueryFinder:
             outputs=[triangle, barycentric, depth],
             device=self._rays.device,
         )
-
-
-class EmbreeFinder:
-    """Embree through embreex; the hierarchy is built again for every shape."""
-
-    def __init__(self, rays: Float32Array, triangles: IndexArray) -> None:
-        self._valid = np.isfinite(rays[..., 2])
-        self._rays = np.ascontiguousarray(rays[self._valid])
-        self._origins = np.zeros_like(self._rays)
-        self._triangles = triangles
-
-    def find(
-        self,
-        position: wp.array,
-        pixel: wp.array,
-        triangle: wp.array,
-        barycentric: wp.array,
-        depth: wp.array,
-    ) -> None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
-        # Embree's own tolerances suit millimetres better than metres.
-        corners = position.numpy()[self._triangles] * _MILLIMETRES
-        scene = EmbreeScene()
-        TriangleMesh(scene, np.ascontiguousarray(corners))
-        hits = scene.run(self._origins, self._rays, output=True)
-        triangle.fill_(kernels.NO_TRIANGLE)
-        triangle.numpy()[self._valid] = hits["primID"]
-        barycentric.numpy()[self._valid] = np.stack([hits["u"], hits["v"]], axis=-1)
-        depth.numpy()[self._valid] = hits["tfar"] / _MILLIMETRES

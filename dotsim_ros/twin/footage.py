@@ -32,7 +32,7 @@ from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.idle_check import check_untouched, mean_idle_image, read_idle_images
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
-from dotsim_ros.optics.network.loading import completion_network
+from dotsim_ros.optics.network import completion_network
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification

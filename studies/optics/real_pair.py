@@ -25,7 +25,7 @@ from scipy.optimize import minimize
 
 from dotsim_ros.data.motion import pose_along
 from dotsim_ros.gel.make import make_gel, skin_of
-from dotsim_ros.geometry.camera import Camera, camera_of_disc
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.io.files import parameter_path, read_image
@@ -154,14 +154,7 @@ class PressSearch:
     ) -> None:
         height, width = pair.idle.shape[:2]
         self.pair = pair
-        self.camera = camera_of_disc(
-            width,
-            height,
-            centre_px=disc.centre_px,
-            radius_px=disc.radius_px,
-            rim_angle_deg=disc.rim_angle_deg,
-            pose=Camera.from_specification(sensor.camera).pose,
-        )
+        self.camera = disc.camera(width, height, Camera.from_specification(sensor.camera).pose)
         self._radius_m = sensor.gel.outer_radius_m
         skin = skin_of(sensor.gel)
         self._gel = make_gel(sensor, skin, sphere(BALL_RADIUS_M))
@@ -232,7 +225,8 @@ def real_pair(*, data: Path = REAL / "densetact", sensor: str = "densetact2") ->
         FileNotFoundError, ValueError: as `read_real_pair`.
     """
     description = parameter_path(DESCRIPTION)
-    disc, lighting, vignetting = read_description(description)
+    described = read_description(description)
+    disc, (lighting, vignetting) = described.disc, described.lights()
     if disc is None:
         raise ValueError(f"{description} does not say where the lit disc lies")
     pair = read_real_pair(data)

@@ -221,7 +221,7 @@ def test_the_command_writes_a_sensor_that_has_the_fitted_camera(
     assert not fine_of_before.exists()
     sensor = load_sensor(tmp_path / "mine.yaml")
     assert sensor.camera.idle_image == str(tmp_path / "mine_idle.png")
-    _, lighting, _ = read_description(tmp_path / "mine_idle.yaml")
+    lighting, _ = read_description(tmp_path / "mine_idle.yaml").lights()
     assert lighting.gloss == pytest.approx(fit.model.lights.gloss, abs=1e-6)
     focal_px = Camera.from_specification(sensor.camera).scaled(240, 180).focal_px
     assert focal_px == pytest.approx(fit.model.camera.focal_px, rel=1e-6)

@@ -25,7 +25,7 @@ LAWS = {
 
 
 @pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("stretches", [(1.3, 0.9, 0.95), (0.6, 1.2, 1.3), (1.0, 1.0, 1.1)])
+@pytest.mark.parametrize("stretches", [(1.3, 0.9, 0.95), (0.6, 1.2, 1.3)])
 def test_stress_is_the_slope_of_the_energy(
     name: str, stretches: tuple[float, float, float]
 ) -> None:
@@ -53,7 +53,7 @@ def test_small_strain_gives_the_elastic_constants(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize("stretch", [0.6, 0.9, 1.4, 2.0])
+@pytest.mark.parametrize("stretch", [0.6, 2.0])
 def test_stiff_bulk_tends_to_the_incompressible_bar(name: str, stretch: float) -> None:
     law = LAWS[name]
     stiff = Coefficients(law.c10_pa, law.c01_pa, law.c20_pa, law.c30_pa, bulk_modulus_pa=1e10)

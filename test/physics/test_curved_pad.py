@@ -46,7 +46,7 @@ def test_the_face_is_that_of_a_ball_or_of_a_cylinder() -> None:
     assert np.isnan(face_drop_m(0.026, 0.0, BALL_PER_M))
 
 
-@pytest.mark.parametrize("curvature", [BALL_PER_M, CYLINDER_PER_M, (25.0, 60.0)])
+@pytest.mark.parametrize("curvature", [BALL_PER_M, (25.0, 60.0)])
 def test_skin_normals_and_rays_lie_on_the_face(curvature: tuple[float, float]) -> None:
     gel = gel_of(curvature)
     skin = skin_of(gel)
@@ -101,10 +101,6 @@ def test_a_bent_face_is_softer_and_becomes_the_flat_pad_as_it_straightens() -> N
     ("gel", "message"),
     [
         ({"shape": "flat_pad", "face_radius_m": [0.1, 0]}, "'curved_pad' has radii"),
-        (
-            {"shape": "curved_pad", "face_radius_m": [0.016, 0.016]},
-            r"leaves less than 0\.0005 m of gel at the corners",
-        ),
         (
             {"shape": "curved_pad", "face_radius_m": [0.005, 0]},
             r"leaves less than 0\.0005 m of gel at the corners",

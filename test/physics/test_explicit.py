@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,6 @@ from dotsim_ros.gel.explicit.gel import (
     ExplicitRegion,
     ExplicitSettings,
     ExplicitState,
-    sample_body,
     stable_density_scale,
     wave_speed_m_s,
 )
@@ -134,7 +133,7 @@ def test_free_block_keeps_its_momentum() -> None:
     assert momentum_ns(gel) == pytest.approx(before, rel=1e-10)
 
 
-def test_free_block_falls_as_a_stone() -> None:
+def test_free_block_falls_as_a_stone_and_scaled_mass_keeps_its_weight() -> None:
     settings = free_settings(gravity_m_s2=(0.0, 0.0, -9.81))
     gel = make_gel(CUBE, top_skin(CUBE), settings=settings, frame_s=20e-5)
     start = particle_position_m(gel)
@@ -145,11 +144,8 @@ def test_free_block_falls_as_a_stone() -> None:
     assert start[..., 2] - particle_position_m(gel)[..., 2] == pytest.approx(fallen, rel=1e-9)
     skin = gel.skin.rest_position_m[:, 2] - state.skin_position_m[0, :, 2]
     assert skin == pytest.approx(fallen, rel=1e-9)
-
-
-def test_scaled_mass_keeps_its_weight() -> None:
-    settings = free_settings(gravity_m_s2=(0.0, 0.0, -9.81), density_scale=9.0)
-    gel = make_gel(CUBE, top_skin(CUBE), settings=settings, frame_s=1e-3)
+    heavy = replace(settings, density_scale=9.0)
+    gel = make_gel(CUBE, top_skin(CUBE), settings=heavy, frame_s=1e-3)
     gel.step(None, 1e-3)
     weight = -momentum_ns(gel)[0, 2] / 1e-3
     assert weight == pytest.approx(9.81 * DENSITY * 0.012**3, rel=1e-9)
@@ -282,15 +278,6 @@ def test_environments_are_independent() -> None:
     assert both.force_n[0][2] < 0.7 * both.force_n[1][2]
 
 
-def test_reset_gives_the_same_frames_again() -> None:
-    gel = make_gel(DOME, SKIN, scalar=wp.float32)
-    first = press(gel, 0.001, 3)
-    gel.reset()
-    again = press(gel, 0.001, 3)
-    assert np.array_equal(first.skin_position_m, again.skin_position_m)
-    assert np.array_equal(first.force_n, again.force_n)
-
-
 def gradient_case(values: dict[str, float]) -> ExplicitGel:
     settings = ExplicitSettings(
         spacing_m=3.0e-3, substeps_per_frame=30, softness=values["softness"], density_scale=40.0
@@ -333,7 +320,9 @@ def test_tape_agrees_with_finite_differences(build: Callable[[float], Indenter])
     gel.set_indenter(build(values["indenter_size"]))
     gel.step(poses[0], FRAME)
     _, gradient = gel.step_with_gradient(poses[1:], FRAME, lambda _: (by_skin, by_force))
-    for name, value in values.items():
+    names = values if build is sphere else ["indenter_size"]
+    for name in names:
+        value = values[name]
         step = 1e-5 * abs(value)
         difference = (loss(**{name: value + step}) - loss(**{name: value - step})) / (2 * step)
         if name == "indenter_size":
@@ -368,53 +357,42 @@ def test_paper_substeps_need_more_mass_in_silicone() -> None:
         make_gel(DOME, SKIN).step(None, 20 * FRAME)
 
 
-@pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
-def test_invalid_duration_leaves_the_state_untouched(duration: float) -> None:
+def test_a_step_that_is_not_valid_leaves_the_state_untouched() -> None:
     gel = make_gel(DOME, SKIN)
     gel.step(above(0.0), FRAME)
     before = particle_position_m(gel)
-    with pytest.raises(ValueError, match="dt_s"):
-        gel.step(above(0.001), duration)
-    assert np.array_equal(particle_position_m(gel), before)
-
-
-def test_wrong_number_of_poses_is_refused() -> None:
+    for duration in (0.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="dt_s"):
+            gel.step(above(0.001), duration)
     with pytest.raises(ValueError, match="expected 1 poses, got 2"):
-        make_gel(DOME, SKIN).step([above(0.0), above(0.0)], FRAME)
+        gel.step([above(0.0), above(0.0)], FRAME)
+    assert np.array_equal(particle_position_m(gel), before)
 
 
 def test_blow_up_is_reported_and_forgotten_by_reset() -> None:
     gel = make_gel(DOME, SKIN, scalar=wp.float32)
-    gel.step(above(0.0), FRAME)
+    fresh = press(gel, 0.001, 3)
     set_velocity(gel, np.array([0.0, 0.0, 50.0]), np.full((3, 3), 1e4))
     with pytest.raises(DivergenceError, match="reset"):
         gel.step(above(0.0), FRAME)
     gel.reset()
     again = press(gel, 0.001, 3)
-    fresh = press(make_gel(DOME, SKIN, scalar=wp.float32), 0.001, 3)
     assert np.array_equal(again.skin_position_m, fresh.skin_position_m)
+    assert np.array_equal(again.force_n, fresh.force_n)
 
 
 @pytest.mark.parametrize(
     "changes",
     [
         {"spacing_m": 0.0},
-        {"softness": -15.0},
         {"substeps_per_frame": 0},
         {"density_scale": 0.0},
-        {"damping_per_s": -1.0},
         {"courant_number": float("nan")},
     ],
 )
 def test_invalid_settings_are_refused(changes: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(changes))):
         ExplicitSettings(**changes)  # type: ignore[arg-type]
-
-
-def test_particles_fill_the_shell() -> None:
-    points = sample_body(DOME, 0.0006)
-    volume = 2.0 / 3.0 * np.pi * (RADIUS**3 - 0.006**3)
-    assert len(points) * 0.0006**3 == pytest.approx(volume, rel=0.01)
 
 
 def test_skin_beyond_the_gel_stays_where_it_is() -> None:

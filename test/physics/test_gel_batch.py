@@ -5,7 +5,6 @@
 
 import os
 import signal
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -31,14 +30,6 @@ def pose_at(depth_m: float, x_m: float = 0.0) -> Pose:
     return Pose(np.array([x_m, 0.0, 15.75e-3 - depth_m]))
 
 
-@pytest.fixture(scope="module")
-def batch() -> Iterator[GelBatch]:
-    with GelBatch(
-        coarse_sensor(), indenter=BALL, environment_count=COUNT, worker_count=2
-    ) as opened:
-        yield opened
-
-
 def paths() -> list[list[Pose | None]]:
     """Return the poses of each step."""
     return [
@@ -55,8 +46,8 @@ def assert_same(one: GelState, other: GelState) -> None:
     assert one.iterations == other.iterations
 
 
-def test_environments_equal_single_gels(batch: GelBatch) -> None:
-    batch.reset()
+def test_environments_equal_single_gels_until_a_process_is_killed() -> None:
+    batch = GelBatch(coarse_sensor(), indenter=BALL, environment_count=COUNT, worker_count=2)
     together = [batch.step(poses, STEP_S) for poses in paths()]
     single = make_gel_batch(coarse_sensor(), indenter=BALL, environment_count=1)
     pressed = 0
@@ -68,42 +59,32 @@ def test_environments_equal_single_gels(batch: GelBatch) -> None:
             pressed += alone.contact_count > 0
     assert pressed >= 6
 
-
-def test_a_refused_pose_moves_no_environment(batch: GelBatch) -> None:
+    # A refused step moves no environment.
     first, second = paths()[:2]
-    batch.reset()
-    batch.step(first, STEP_S)
-    expected = batch.step(second, STEP_S)
     batch.reset()
     batch.step(first, STEP_S)
     with pytest.raises(PressTooDeepError, match="press less deep"):
         batch.step([*second[:2], pose_at(9.0e-3)], STEP_S)
-    for state, wanted in zip(batch.step(second, STEP_S), expected, strict=True):
-        assert_same(state, wanted)
-
-
-def test_another_number_of_poses_is_refused(batch: GelBatch) -> None:
     with pytest.raises(ValueError, match="2 poses for 3 environments"):
         batch.step([None, None], STEP_S)
+    for state, wanted in zip(batch.step(second, STEP_S), together[1], strict=True):
+        assert_same(state, wanted)
 
-
-def test_no_worker_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected at least one"):
-        GelBatch(coarse_sensor(), indenter=BALL, environment_count=1, worker_count=0)
-
-
-def test_a_killed_process_is_told_and_none_is_left() -> None:
-    batch = GelBatch(coarse_sensor(), indenter=BALL, environment_count=2, worker_count=2)
     processes = [share.process for share in batch._shares]
     os.kill(processes[1].pid, signal.SIGKILL)
     for _ in range(2):
-        with pytest.raises(GelWorkerError, match="environments 1 to 1 has ended with status -9"):
-            batch.step([None, None], STEP_S)
+        with pytest.raises(GelWorkerError, match="environments 1 to 2 has ended with status -9"):
+            batch.step([None] * COUNT, STEP_S)
     batch.close()
     batch.close()
     assert not any(process.is_alive() for process in processes)
     with pytest.raises(GelWorkerError):
         batch.reset()
+
+
+def test_no_worker_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected at least one"):
+        GelBatch(coarse_sensor(), indenter=BALL, environment_count=1, worker_count=0)
 
 
 def test_a_closed_batch_says_so() -> None:

@@ -28,7 +28,7 @@ from gel_cases import (
 from dotsim_ros.gel.body import Pad
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.material import Material, NeoHookean
-from dotsim_ros.geometry.indenter import Indenter, box_edge, flat_punch, sphere
+from dotsim_ros.geometry.indenter import Indenter, box_edge, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import flat_pad_skin
 from dotsim_ros.specification import ContactSpecification, SolverSpecification
@@ -159,21 +159,29 @@ def test_press_force_converges_with_the_grid() -> None:
     assert force[1] == pytest.approx(force[2], rel=0.06)
 
 
-def test_refinement_gives_the_force_of_the_finer_grid(
-    refined_pads: dict[float, ImplicitGel],
-) -> None:
-    gel = refined_pads[0.3]
+def test_refinement_gives_the_force_of_the_finer_grid() -> None:
+    size = (21.6e-3, 21.6e-3, 10.8e-3)
     force = {}
-    gel.reset()
-    force["refined"] = one(gel, sunk_by(0.5e-3)).wrench.force_n[2]
-    for name, spacing in (("coarse", 2.4e-3), ("fine", 1.2e-3)):
-        plain = hertz_gel(0.3, exact=True, grid_spacing_m=spacing, tolerance_m=4.0e-6)
-        force[name] = one(plain, sunk_by(0.5e-3)).wrench.force_n[2]
+    for name, spacing, refined in (
+        ("refined", 3.6e-3, True),
+        ("coarse", 3.6e-3, False),
+        ("fine", 1.8e-3, False),
+    ):
+        gel = pad_gel(
+            size_m=size,
+            skin=pad_skin(0.6e-3, size),
+            law=NeoHookean(YOUNGS_PA, 0.3),
+            indenter=sphere(14.0e-3),
+            solver={"grid_spacing_m": spacing, "refined": refined, "tolerance_m": 4.0e-6},
+            exact=not refined,
+        )
+        force[name] = one(gel, at(0.0, 0.0, size[2] - 0.4e-3)).wrench.force_n[2]
     assert force["refined"] == pytest.approx(force["fine"], rel=0.015)
-    assert abs(force["refined"] - force["fine"]) < 0.4 * abs(force["coarse"] - force["fine"])
+    # A third too stiff: the contact is not wider than two cells.
+    assert abs(force["refined"] - force["fine"]) < 0.1 * abs(force["coarse"] - force["fine"])
 
 
-@pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (0.5, 0.2, 1.0), (-1.0, 0.4, 0.7)])
+@pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (-1.0, 0.4, 0.7)])
 def test_frictionless_sphere_feels_no_torque_about_its_centre(
     direction: tuple[float, float, float],
 ) -> None:
@@ -216,15 +224,6 @@ def test_base_carries_what_the_indenter_presses(indenter: Indenter, friction: fl
     assert (ramp * force).sum(axis=0) == pytest.approx(-state.wrench.force_n, abs=2e-3 * load)
     turned = np.cross(position + state.displacement_m, ramp * force).sum(axis=0)
     assert turned == pytest.approx(-state.wrench.torque_nm, abs=2e-3 * load * PAD_TOP_M)
-
-
-def test_flat_punch_presses_evenly_around_its_axis() -> None:
-    gel = pad_gel(indenter=flat_punch(4.0e-3, 8.0e-3, 0.3e-3))
-    wrench = one(gel, pressed(0.8e-3)).wrench
-    size = wrench.force_n[2]
-    assert size > 0.0
-    assert np.abs(wrench.force_n[:2]).max() < 1e-3 * size
-    assert np.abs(wrench.torque_nm).max() < 1e-3 * size * 4.0e-3
 
 
 def test_force_scales_with_the_modulus_and_the_shape_does_not() -> None:

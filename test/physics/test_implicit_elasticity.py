@@ -102,9 +102,8 @@ def test_linear_field_at_the_base_on_a_cut_dome() -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("angle_rad", [0.3, 2.5])
-def test_rigid_motion_costs_nothing(law: str, angle_rad: float) -> None:
-    body = elastic(BALL, law)
+def test_rigid_motion_costs_nothing(law: str) -> None:
+    body, angle_rad = elastic(BALL, law), 2.5
     axis = np.array([1.0, -2.0, 0.5]) / np.linalg.norm([1.0, -2.0, 0.5])
     cross = np.cross(np.eye(3), axis)
     turn = np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * cross @ cross
@@ -119,7 +118,7 @@ def test_rigid_motion_costs_nothing(law: str, angle_rad: float) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("shape", [BLOCK, BALL], ids=["block", "ball"])
-@pytest.mark.parametrize("stretch", [0.6, 0.9, 1.2, 1.8])
+@pytest.mark.parametrize("stretch", [0.6, 1.8])
 def test_uniaxial_curve(law: str, shape: FloatingBlock | FloatingBall, stretch: float) -> None:
     body, form = elastic(shape, law), closed_form(law)
     expected = uniaxial(form, stretch)
@@ -135,7 +134,7 @@ def test_uniaxial_curve(law: str, shape: FloatingBlock | FloatingBall, stretch: 
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("amount", [0.01, 0.3, 1.0])
+@pytest.mark.parametrize("amount", [0.01, 1.0])
 def test_simple_shear_curve(law: str, amount: float) -> None:
     body, form = elastic(BALL, law), closed_form(law)
     deformation = np.eye(3)
@@ -172,7 +171,7 @@ def test_force_is_the_slope_of_the_energy_and_stiffness_that_of_the_force(law: s
 
 
 def test_region_stiffness_is_a_block_of_the_whole() -> None:
-    grid = discretize(BLOCK, BLOCK.bounds_m().mean(axis=0)[None], 2.4e-3)
+    grid = discretize(BLOCK, BLOCK.bounds_m().mean(axis=0)[None], 4.8e-3)
     body = ElasticBody(grid, LAWS["yeoh"])
     field = linear_field(body, np.eye(3) + 0.5 * LINEAR_MAP)[0]
     every = np.arange(grid.node_count, dtype=np.int32)

@@ -23,14 +23,7 @@ from gel_cases import (
 
 from dotsim_ros.gel.implicit.gel import FORGOTTEN_N, GelState, ImplicitGel, PressTooDeepError
 from dotsim_ros.gel.material import PronySeries
-from dotsim_ros.geometry.indenter import (
-    Indenter,
-    box_edge,
-    cone,
-    flat_punch,
-    sphere,
-    torus,
-)
+from dotsim_ros.geometry.indenter import box_edge, cone, flat_punch, sphere, torus
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.specification import ContactSpecification
 
@@ -84,12 +77,6 @@ def test_markers_that_a_slide_leaves_behind_are_forgotten(dome: ImplicitGel) -> 
     assert largest_n[loaded].min() >= FORGOTTEN_N
 
 
-def test_indenter_away_leaves_rest_exactly(dome: ImplicitGel) -> None:
-    dome.reset()
-    for pose in (None, at(30e-3, 0.0, 5e-3), at(0.0, 0.0, 30e-3), towards_centre(APEX, -0.1e-3)):
-        assert_at_rest(dome, one(dome, pose))
-
-
 def test_release_returns_to_rest_and_forgets(dome: ImplicitGel) -> None:
     press = [towards_centre((0.2, 0.1, 1.0), depth) for depth in (0.5e-3, 1.2e-3)]
     dome.reset()
@@ -98,8 +85,9 @@ def test_release_returns_to_rest_and_forgets(dome: ImplicitGel) -> None:
     assert_at_rest(dome, one(dome, None))
     for pose, expected in zip(press, fresh, strict=True):
         assert_same(one(dome, pose), expected)
-    # Lifted instead of taken away.
-    assert_at_rest(dome, one(dome, towards_centre(APEX, -3.0e-3)))
+    # Lifted, or moved aside, instead of taken away.
+    for pose in (towards_centre(APEX, -0.1e-3), at(30e-3, 0.0, 5e-3), at(0.0, 0.0, 30e-3)):
+        assert_at_rest(dome, one(dome, pose))
 
 
 def test_reset_in_a_press_is_as_fresh(dome: ImplicitGel) -> None:
@@ -127,17 +115,15 @@ DYNAMIC = {"solver": {"dynamic": True}}
 
 @pytest.mark.parametrize(
     "setting",
-    [{}, RELAXING, DYNAMIC, RELAXING | DYNAMIC, RELAXING | {"exact": True}],
-    ids=["elastic", "relaxing", "dynamic", "relaxing dynamic", "relaxing exact"],
+    [{}, RELAXING | DYNAMIC, RELAXING | {"exact": True}],
+    ids=["elastic", "relaxing dynamic", "relaxing exact"],
 )
 def test_environments_equal_single_runs(setting: dict[str, Any]) -> None:
     paths = [
         [pressed(0.3e-3), pressed(0.6e-3, 0.2e-3), None, pressed(0.2e-3)],
         [None, pressed(0.8e-3, -1e-3), pressed(0.9e-3, -0.8e-3), None],
-        [pressed(0.5e-3, 0.0, 2e-3), None, None, pressed(0.5e-3)],
         # Steps that are not divided, next to steps of several substeps.
         [pressed(0.2e-3), *(pressed(0.4e-3, x) for x in (0.4e-3, 0.8e-3, 1.2e-3))],
-        [pressed(0.2e-3), pressed(0.4e-3, 2e-3), pressed(0.5e-3, 2.1e-3), pressed(0.3e-3, 1e-3)],
     ]
     batch = pad_gel(contact=FRICTION, environment_count=len(paths), **setting)
     together = [batch.step([path[k] for path in paths], 0.04) for k in range(4)]
@@ -148,11 +134,8 @@ def test_environments_equal_single_runs(setting: dict[str, Any]) -> None:
             assert_same(together[k][e], alone)
 
 
-@pytest.mark.parametrize(
-    "setting", [RELAXING, DYNAMIC, RELAXING | DYNAMIC], ids=["relaxing", "dynamic", "both"]
-)
-def test_reset_forgets_steps_of_another_length(setting: dict[str, Any]) -> None:
-    gel = pad_gel(contact=FRICTION, **setting)
+def test_reset_forgets_steps_of_another_length() -> None:
+    gel = pad_gel(contact=FRICTION, **RELAXING, **DYNAMIC)
     fresh = [one(gel, pressed(depth), 0.04) for depth in (0.3e-3, 0.8e-3)]
     for dt_s in (0.01, 0.04):
         one(gel, pressed(1.0e-3), dt_s)
@@ -197,19 +180,7 @@ def test_jump_across_the_dome_ends_at_rest_on_the_other_side(dome: ImplicitGel) 
     assert_at_rest(dome, one(dome, at(25e-3, 0.0, height)))
 
 
-def test_jump_into_the_gel_is_followed(dome: ImplicitGel) -> None:
-    dome.reset()
-    one(dome, at(0.0, 0.0, DOME_TOP_M + 49.0e-3))
-    jumped = one(dome, towards_centre(APEX, 1.0e-3))
-    assert jumped.converged
-    assert jumped.max_penetration_m < COARSE_PENETRATION_M
-    dome.reset()
-    expected = one(dome, towards_centre(APEX, 1.0e-3)).wrench.force_n
-    # Friction remembers where on the way the substeps lay.
-    assert jumped.wrench.force_n == pytest.approx(expected, abs=0.05 * expected[2])
-
-
-@pytest.mark.parametrize("depth_m", [8.5e-3, 12.0e-3, 20.0e-3, 30.0e-3, 50.0e-3])
+@pytest.mark.parametrize("depth_m", [8.5e-3, 30.0e-3])
 def test_too_deep_a_press_is_refused_and_changes_nothing(dome: ImplicitGel, depth_m: float) -> None:
     dome.reset()
     one(dome, towards_centre(APEX, 0.5e-3))
@@ -229,15 +200,6 @@ def test_way_through_the_core_is_refused(dome: ImplicitGel) -> None:
     assert_at_rest(dome, one(dome, at(-24.0e-3, 0.0, 3.0e-3)))
 
 
-def test_ring_deeper_than_it_is_thick_stays_in_contact() -> None:
-    gel = dome_gel(torus(4.0e-3, 1.0e-3), contact=FRICTION)
-    force = [
-        one(gel, towards_centre(APEX, depth)).wrench.force_n[2]
-        for depth in np.arange(1.0e-3, 4.1e-3, 0.5e-3)
-    ]
-    assert np.all(np.diff(force) > 0.0)
-
-
 def test_pad_refuses_to_be_pierced() -> None:
     gel = pad_gel(indenter=BALL)
     for depth in (PAD_TOP_M - 1.0e-3, PAD_TOP_M + 8.0e-3):
@@ -253,7 +215,6 @@ def test_pad_refuses_to_be_pierced() -> None:
         ([None, None], 0.04, "2 poses for 1"),
         ([None], 0.0, "dt_s"),
         ([None], float("nan"), "dt_s"),
-        ([None], -1.0, "dt_s"),
     ],
 )
 def test_bad_steps_are_refused(
@@ -263,28 +224,20 @@ def test_bad_steps_are_refused(
         dome.step(poses, dt_s)
 
 
-SHAPES: dict[str, tuple[Indenter, float]] = {
-    "sphere": (BALL, 5.0e-3),
-    "box_edge": (box_edge([12e-3, 8e-3, 8e-3], 0.3e-3), 4.0e-3),
-    "flat_punch": (flat_punch(4.0e-3, 10.0e-3, 0.3e-3), 3.0e-3),
-    "torus": (torus(4.0e-3, 1.5e-3), 4.0e-3),
-    "cone": (cone(np.radians(45.0), 8.0e-3, 0.5e-3), 4.0e-3),
+FLANK = (1.0, 0.3, 0.8)
+DEEP_PRESSES = {
+    "sphere": (BALL, 5.0e-3, FLANK),
+    "box_edge": (box_edge([12e-3, 8e-3, 8e-3], 0.3e-3), 4.0e-3, FLANK),
+    "flat_punch": (flat_punch(4.0e-3, 10.0e-3, 0.3e-3), 3.0e-3, APEX),
+    # Deeper than it is thick.
+    "torus": (torus(4.0e-3, 1.5e-3), 4.0e-3, APEX),
+    "cone": (cone(np.radians(45.0), 8.0e-3, 0.5e-3), 4.0e-3, FLANK),
 }
 
 
-def deep_press_cases() -> list[Any]:
-    """Return every shape from two sides."""
-    sides = {"apex": APEX, "flank": (1.0, 0.3, 0.8)}
-    return [
-        pytest.param(shape, direction, id=f"{shape}-{side}")
-        for shape in SHAPES
-        for side, direction in sides.items()
-    ]
-
-
-@pytest.mark.parametrize(("shape", "direction"), deep_press_cases())
-def test_deep_press(shape: str, direction: tuple[float, float, float]) -> None:
-    indenter, deepest = SHAPES[shape]
+@pytest.mark.parametrize("shape", DEEP_PRESSES)
+def test_deep_press(shape: str) -> None:
+    indenter, deepest, direction = DEEP_PRESSES[shape]
     gel = dome_gel(indenter, contact=FRICTION)
     axis = np.array(direction) / np.linalg.norm(direction)
     last = 0.0

@@ -73,7 +73,7 @@ def pressed_n(
     return found.force_n
 
 
-@pytest.mark.parametrize("slip_share", [0.0, 0.02, 0.5, 1.0])
+@pytest.mark.parametrize("slip_share", [0.0, 0.02, 1.0])
 def test_a_turn_on_the_core_costs_what_two_springs_in_a_row_do(
     grid: Discretization, slip_share: float
 ) -> None:
@@ -128,7 +128,7 @@ def test_force_and_stiffness_are_the_energys_derivatives(grid: Discretization) -
 
 
 def test_the_looser_the_softer_between_bonded_and_free(simulator: GelSimulator) -> None:
-    shares = (0.0, 1e-9, 0.03, 0.3, 1.0)
+    shares = (0.0, 1e-9, 0.1, 1.0)
     bonded, nearly, *loose = (pressed_n(simulator, share) for share in shares)
     np.testing.assert_allclose(nearly, bonded, rtol=1e-4, atol=1e-5)
     deepest = [force[-1, 2] for force in (bonded, *loose)]

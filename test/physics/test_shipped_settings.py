@@ -86,15 +86,15 @@ def touch_of(gel: ImplicitGel) -> Touch:
     return Touch(normal, pressing, response.force_n[on] - pressing[:, None] * normal)
 
 
-@pytest.mark.parametrize("profile", BOTH)
 @pytest.mark.parametrize(
-    ("sensor", "depth_m", "force_n"),
+    ("sensor", "depth_m", "force_n", "profile"),
     # The forces are those of 40 steps, each solved to 0.2 um.
     [
-        ("flat_pad", 1.0e-3, 2.134),
-        ("gelsight_mini", 1.0e-3, 3.189),
-        ("densetact2", 1.5e-3, 1.924),
+        ("gelsight_mini", 1.0e-3, 3.189, EXACT),
+        ("densetact2", 1.5e-3, 1.924, EXACT),
+        ("densetact2", 1.5e-3, 1.924, REALTIME),
     ],
+    ids=["pad", "dome", "dome realtime"],
 )
 def test_a_press_at_once_in_ten_steps_and_held_is_one_press(
     sensor: str, depth_m: float, force_n: float, profile: Profile
@@ -160,9 +160,8 @@ LARGEST_IMBALANCE = {EXACT.name: (2e-3, 0.25e-3), REALTIME.name: (1e-2, 0.4e-3)}
 
 
 @pytest.mark.parametrize("profile", BOTH)
-@pytest.mark.parametrize("indenter", ["sphere_4mm", "box_edge", "cone"])
-def test_base_and_core_bear_what_the_indenter_presses(indenter: str, profile: Profile) -> None:
-    gel = shipped_under(profile, indenter)
+def test_base_and_core_bear_what_the_indenter_presses(profile: Profile) -> None:
+    gel = shipped_under(profile, "box_edge")
     pressed_to(gel, DEPTH_M, 1.0e-3, quaternion_xyzw=TILTED)
     by_force, lever_m = LARGEST_IMBALANCE[profile.name]
     for x in 1.0e-3 + FRAME_M * np.arange(1, 4):
@@ -173,12 +172,11 @@ def test_base_and_core_bear_what_the_indenter_presses(indenter: str, profile: Pr
         assert np.linalg.norm(held.torque_nm + state.wrench.torque_nm) < lever_m * load
 
 
-@pytest.mark.parametrize("indenter", ["sphere_4mm", "box_edge"])
-def test_only_what_the_refinement_adds_leaves_a_torque(indenter: str) -> None:
+def test_only_what_the_refinement_adds_leaves_a_torque() -> None:
     """Settled to rounding, forces balance; torques lack that of the forces at the displacement that
     the refinement adds, which the grid does not see. What the indenter answers is worked out in
     single precision: processors differ by some millionths of the load."""
-    gel = shipped_under(EXACT, indenter)
+    gel = shipped_under(EXACT, "box_edge")
     recorder = Recorder(gel)
     for x, depth in ((1.0e-3, -0.1e-3), (1.0e-3, 0.4e-3), (1.4e-3, 0.6e-3)):
         pose = tip(x, depth, quaternion_xyzw=TILTED)
@@ -195,7 +193,7 @@ def test_only_what_the_refinement_adds_leaves_a_torque(indenter: str) -> None:
     assert 0.0 < np.linalg.norm(left) < 0.15e-3 * load
 
 
-DEEPEST_M = {"sphere_4mm": 5.0e-3, "box_edge": 4.0e-3, "flat_punch": 3.0e-3}
+DEEPEST_M = {"sphere_4mm": 5.0e-3, "box_edge": 4.0e-3}
 
 
 @cache
@@ -216,10 +214,6 @@ def test_deep_press_converges(indenter: str) -> None:
     assert np.abs(shown - force).max() < 0.03 * force.max()
 
 
-def sinks_in(reason: str) -> pytest.MarkDecorator:
-    return pytest.mark.xfail(strict=True, reason=reason)
-
-
 @pytest.mark.parametrize("profile", BOTH)
 @pytest.mark.parametrize(
     "indenter",
@@ -227,14 +221,11 @@ def sinks_in(reason: str) -> pytest.MarkDecorator:
         "sphere_4mm",
         pytest.param(
             "box_edge",
-            marks=sinks_in(
-                "0.16 mm under an edge, 0.14 mm in real time; 0.10 mm at twice the "
-                "contact's stiffness"
+            marks=pytest.mark.xfail(
+                strict=True,
+                reason="0.16 mm under an edge, 0.14 mm in real time; 0.10 mm at twice the "
+                "contact's stiffness",
             ),
-        ),
-        pytest.param(
-            "flat_punch",
-            marks=sinks_in("0.066 mm under a rim, 0.041 mm at twice the contact's stiffness"),
         ),
     ],
 )
@@ -289,9 +280,8 @@ def test_a_slide_back_and_forth_costs_what_friction_takes(profile: Profile) -> N
     assert work_j == pytest.approx(dissipated_j, rel=0.05)
 
 
-@pytest.mark.parametrize("profile", BOTH)
-def test_friction_does_not_depend_on_the_length_of_the_steps(profile: Profile) -> None:
-    gel = shipped_under(profile, "sphere_4mm")
+def test_friction_does_not_depend_on_the_length_of_the_steps() -> None:
+    gel = shipped_under(REALTIME, "sphere_4mm")
     found = []
     for part in (1, 2, 4):
         gel.reset()

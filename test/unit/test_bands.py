@@ -11,6 +11,8 @@ import threading
 import numpy as np
 import pytest
 import warp as wp
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
@@ -21,8 +23,8 @@ from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.visibility import lens_of
 
-SIZES = [(7, 5), (8, 1), (3, 4), (3, 7), (1, 9), (1, 17), (17, 3), (101, 7), (161, 121)]
-COUNTS = [2, 3, 8]
+SIZES = [(7, 5), (8, 1), (1, 17), (17, 3), (161, 121)]
+COUNTS = [2, 8]
 VIEW = ("normal", "material_point_m", "depth_m", "barycentric", "triangle")
 
 RENDERED = """
@@ -58,9 +60,7 @@ def run(code):
     )
 
 
-@pytest.mark.parametrize("size", [1, 2, 7, 480, 8926])
-@pytest.mark.parametrize("count", [1, 2, 3, 8])
-@pytest.mark.parametrize("smallest", [1, 3])
+@given(st.integers(1, 9000), st.integers(1, 8), st.integers(1, 3))
 def test_bands_cover_the_whole_once_and_evenly(size, count, smallest):
     bands = cut(size, count, smallest=smallest)
     assert [row for first, end in bands for row in range(first, end)] == list(range(size))
@@ -81,15 +81,14 @@ def test_view_is_the_same_in_any_number_of_bands(width, height, count):
     expected = SkinRenderer(camera, mesh, band_count=1).render(position)
     renderer = SkinRenderer(camera, mesh, band_count=count)
     assert expected.mask.any()
-    for _ in range(20):
+    for _ in range(5):
         view = renderer.render(position)
         for name in VIEW:
             first, second = getattr(view, name), getattr(expected, name)
             assert np.array_equal(first, second, equal_nan=True), name
 
 
-@pytest.mark.parametrize("count", COUNTS)
-def test_image_is_the_same_in_any_number_of_bands(count):
+def test_image_is_the_same_in_any_number_of_bands():
     camera = FisheyeCamera(320, 241, 80.0, (160.0, 120.0), pose=Pose(np.array([0, 0, 0.0025])))
     mesh = dome_skin(0.01575, 0.5e-3)
     position = mesh.rest_position_m * np.array([1.02, 0.99, 0.97])
@@ -97,9 +96,7 @@ def test_image_is_the_same_in_any_number_of_bands(count):
     view = SkinRenderer(camera, mesh).render(position)
     expected = ImageRenderer(camera, mesh, idle, band_count=1).render(view)
     assert np.count_nonzero(expected != idle) > 10_000
-    assert np.array_equal(
-        ImageRenderer(camera, mesh, idle, band_count=count).render(view), expected
-    )
+    assert np.array_equal(ImageRenderer(camera, mesh, idle, band_count=3).render(view), expected)
 
 
 def test_a_band_writes_nothing_beyond_its_last_row():

@@ -122,15 +122,11 @@ def open_network(directory, camera, sensor=SENSOR.name):
     return CompletionNetwork(directory, sensor=sensor, camera=camera)
 
 
-@pytest.mark.parametrize("kind", ["ours", "paper_mobile_warped", "unet"])
-def test_results_are_those_of_torch(kind, camera, made, made_unet, tmp_path):
+@pytest.mark.parametrize("kind", ["ours", "unet"])
+def test_results_are_those_of_torch(kind, camera, made, made_unet):
     torch = pytest.importorskip("torch")
-    size = {"ours": SIZE, "unet": UNET_SIZE}.get(kind, (96, 72))
-    # The paper's networks are alike: they differ in what is made of their results.
+    size = {"ours": SIZE, "unet": UNET_SIZE}[kind]
     directory, network = made_unet if kind == "unet" else made
-    if kind == "paper_mobile_warped":
-        directory, network = tmp_path, random_network(kind)
-        write(directory, network, kind, camera, size=size)
     random = np.random.default_rng(0)
     width, height = size[0] // FINENESS[kind], size[1] // FINENESS[kind]
     frame = random.random((7, height, width), dtype=np.float32)
@@ -145,18 +141,15 @@ def test_results_are_those_of_torch(kind, camera, made, made_unet, tmp_path):
     assert 255.0 * np.abs(added - expected).max() < SINGLE_PRECISION_LEVELS
 
 
-def test_weights_are_stored_once(made):
+def test_weights_are_stored_once_and_no_folder_of_the_machine(made):
     directory, network = made
     weights = sum(value.numel() * 4 for value in network.state_dict().values())
     assert (directory / WEIGHTS).stat().st_size < weights + 20_000
     assert (directory / GRAPH).stat().st_size < 0.25 * weights
+    assert str(PACKAGE_ROOT).encode() not in (directory / GRAPH).read_bytes()
 
 
-def test_the_graph_tells_no_folders_of_the_machine_that_made_it(made):
-    assert str(PACKAGE_ROOT).encode() not in (made[0] / GRAPH).read_bytes()
-
-
-def test_an_untouched_sensor_shows_the_idle_frame_bit_for_bit(
+def test_nothing_is_added_at_rest_or_outside_the_lit_disc(
     made, camera, dome, renderer, idle, pressed
 ):
     untouched = renderer.render(dome.rest_position_m)
@@ -171,16 +164,7 @@ def test_an_untouched_sensor_shows_the_idle_frame_bit_for_bit(
     expected = np.clip(np.rint(added), 0.0, 255.0)
     assert np.abs(shown - expected).max() <= 1.0
     assert np.mean(shown != expected) < 1e-4
-
-
-def test_nothing_is_added_outside_the_lit_disc(made, camera, dome, renderer, idle, pressed):
-    untouched = renderer.render(dome.rest_position_m)
-    completion = open_network(made[0], camera).at_rest(untouched, idle)
-    added = completion(pressed, ImageRenderer(camera, dome, idle).warp(pressed))
-    assert added.shape == (480, 640, 3)
-    assert added.dtype == np.float32
-    assert not added[~lit_region(idle)].any()
-    assert np.abs(added).max() > 1.0
+    assert not completion(pressed, warped)[~lit_region(idle)].any()
 
 
 def test_kinds_that_replace_the_carried_image_add_up_to_their_own(
@@ -202,14 +186,6 @@ def test_the_camera_counts_but_not_its_resolution(made, camera):
         ValueError, match=r"another camera of 'densetact2'.*train the network again"
     ):
         open_network(made[0], turned)
-    wider = replace(camera, distortion=np.array([0.01, 0.0, 0.0, 0.0]))
-    with pytest.raises(ValueError, match="another camera"):
-        open_network(made[0], wider)
-
-
-def test_another_sensor_is_refused(made, camera):
-    with pytest.raises(ValueError, match="for the sensor 'densetact2', not for 'sensor_b'"):
-        open_network(made[0], camera, "sensor_b")
 
 
 def test_another_version_is_refused(folder, camera):
@@ -225,27 +201,16 @@ def contents(directory):
     return load_file(directory / WEIGHTS), read_network(directory)
 
 
-def cut(path):
-    path.write_bytes(path.read_bytes()[:-100])
-
-
 def spoil(path):
     content = bytearray(path.read_bytes())
     content[-50] ^= 0x40
     path.write_bytes(content)
 
 
-@pytest.mark.parametrize("damage", [cut, spoil])
 @pytest.mark.parametrize("name", [WEIGHTS, GRAPH])
-def test_corrupt_files_are_refused(folder, camera, damage, name):
-    damage(folder / name)
+def test_corrupt_files_are_refused(folder, camera, name):
+    spoil(folder / name)
     with pytest.raises(ValueError, match=f"{name} is corrupt"):
-        open_network(folder, camera)
-
-
-def test_a_file_that_is_none_is_refused(folder, camera):
-    (folder / WEIGHTS).write_bytes(b"no weights")
-    with pytest.raises(ValueError, match=f"{WEIGHTS} is corrupt"):
         open_network(folder, camera)
 
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from dataclasses import replace
 from itertools import pairwise
@@ -25,7 +24,7 @@ from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics.idle import lights_of, lit_region, read_description, stated_lights
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting
-from dotsim_ros.optics.pattern import idle_frame_of, render_idle_image
+from dotsim_ros.optics.pattern import idle_frame_of, main, render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.sensor import Frame, TactileSensor
 from dotsim_ros.specification import (
@@ -161,16 +160,6 @@ def test_the_shipped_idle_image_is_what_its_command_draws(pad: TactileSensor) ->
     assert (drawn.lighting, drawn.vignetting) == lights_of(sensor)
 
 
-def test_each_leds_colour_is_strongest_on_its_side(pad: TactileSensor) -> None:
-    image, (cx, cy) = pad.idle_image.astype(float), pad.camera.principal_point_px
-    for channel, azimuth_deg in enumerate(pad.specification.lighting.azimuth_deg):
-        towards = np.array([np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))])
-        x, y = (np.array([cx, cy]) + 150.0 * towards).astype(int)
-        patch = image[y - 20 : y + 20, x - 20 : x + 20].mean(axis=(0, 1))
-        assert np.argmax(patch) == channel
-        assert patch[channel] > 1.3 * np.sort(patch)[1]
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -198,10 +187,6 @@ def test_a_sensor_without_an_image_is_drawn_where_its_skin_is_seen(text: str) ->
     assert np.mean(view.mask) > 0.2
     images = ImageRenderer(camera, skin, idle.image, lighting=idle.lighting)
     assert np.array_equal(images.render(view), idle.image)
-    again = idle_frame_of(sensor, camera).image
-    other = idle_frame_of(replace(sensor, pattern=PatternSpecification(seed=1)), camera).image
-    assert np.array_equal(idle.image, again)
-    assert not np.array_equal(idle.image, other)
 
 
 def test_a_small_pad_far_away_is_not_blown_out() -> None:
@@ -235,7 +220,9 @@ def test_lights_of_an_image_come_from_the_file_beside_it_or_from_the_sensor(
         idle_frame_of(sensor, seen)
 
 
-def test_the_command_draws_a_sensor_and_keeps_what_describes_its_image(tmp_path: Path) -> None:
+def test_the_command_draws_a_sensor_and_keeps_what_describes_its_image(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "small.yaml").write_text(
         "gel: {shape: flat_pad, pad_size_m: [0.02, 0.02, 0.005]}\n"
         "camera: {width: 160, height: 120, principal_point_px: [79.5, 59.5], idle_image: '',\n"
@@ -243,17 +230,17 @@ def test_the_command_draws_a_sensor_and_keeps_what_describes_its_image(tmp_path:
         "lighting: {height_m: -0.003, gloss: 1}\n"
     )
     out = tmp_path / "out" / "idle.png"
-    command = [sys.executable, "-m", "dotsim_ros.optics.pattern", str(out)]
-    command += ["--sensor", str(tmp_path / "small.yaml")]
-    subprocess.run(command, check=True, capture_output=True)
+    command = ["pattern", str(out), "--sensor", str(tmp_path / "small.yaml")]
+    monkeypatch.setattr(sys, "argv", command)
+    main()
     first = cv2.imread(str(out))
-    _, lighting, _ = read_description(out.with_suffix(".yaml"))
+    lighting, _ = read_description(out.with_suffix(".yaml")).lights()
     sensor = load_sensor(tmp_path / "small.yaml")
     drawn = idle_frame_of(sensor, Camera.from_specification(sensor.camera))
     assert np.array_equal(first[..., ::-1], drawn.image)
     assert lighting == drawn.lighting
     out.with_suffix(".yaml").write_text("lighting: {height_m: -0.003, azimuth_deg: [0, 120, 240]}")
-    subprocess.run(command, check=True, capture_output=True)
+    main()
     assert "120" in out.with_suffix(".yaml").read_text()
     assert not np.array_equal(cv2.imread(str(out)), first)
 

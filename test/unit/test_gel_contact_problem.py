@@ -87,11 +87,6 @@ def pressed(depth_m: float, shift_m: float = 0.0) -> Pose:
     return Pose(np.array([shift_m, 0.0, -depth_m]))
 
 
-def test_components_and_markers_are_inverse() -> None:
-    vectors = np.random.default_rng(0).normal(size=(7, 3))
-    assert np.array_equal(by_marker(by_component(vectors)), vectors)
-
-
 def test_root_of_a_compliance_has_few_columns_and_leaves_little_out() -> None:
     # Markers closer together than what moves them can bend.
     markers = flat_markers(11, 0.2e-3)
@@ -120,7 +115,7 @@ def test_a_compliance_that_is_indefinite_by_a_hair_has_a_root() -> None:
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.4])
-@pytest.mark.parametrize("depth_m", [0.02e-3, 0.2e-3, 0.6e-3])
+@pytest.mark.parametrize("depth_m", [0.02e-3, 0.6e-3])
 def test_forces_are_those_that_the_indenter_answers_with(friction: float, depth_m: float) -> None:
     markers = flat_markers()
     contact = contact_of(friction, len(markers))

@@ -41,7 +41,7 @@ def random_grid(shape: tuple[int, int, int]) -> tuple[sparse.csr_matrix, np.ndar
     return sparse.csr_matrix(dense), cell
 
 
-@pytest.mark.parametrize("shape", [(8, 3, 2), (2, 11, 2), (2, 2, 2), (3, 3, 7)])
+@pytest.mark.parametrize("shape", [(2, 11, 2), (3, 3, 7)])
 @pytest.mark.parametrize("columns", [None, 4])
 def test_block_cholesky_agrees_with_scipy(shape: tuple[int, int, int], columns: int | None) -> None:
     matrix, cell = random_grid(shape)

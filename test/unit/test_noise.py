@@ -62,11 +62,6 @@ def test_noise_stays_within_the_levels_and_on_what_is_lit() -> None:
     assert noise.dtype == np.uint8
 
 
-def test_no_noise_is_the_image_itself() -> None:
-    image = grey(90)
-    assert with_noise(image, 0.0, 1) is image
-
-
 def test_a_sensors_noise_is_drawn_by_its_seed_and_the_time(noisy: TactileSensor) -> None:
     noisy.reset()
     first = frames(noisy)

@@ -5,6 +5,8 @@
 
 import numpy as np
 import pytest
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
 
 from dotsim_ros.geometry.camera import Camera, FisheyeCamera, PinholeCamera
 from dotsim_ros.geometry.pose import Pose
@@ -18,7 +20,39 @@ RADIUS_M = 0.01575
 SPACING_M = 0.5e-3
 # A plane between points of a sphere lies inside it by at most (the triangle's circumradius)^2 / 2R.
 SAG_M = (SPACING_M / np.sqrt(3.0)) ** 2 / (2.0 * RADIUS_M)
-OTHERS = [Visibility.EMBREE, Visibility.RAY_QUERY]
+
+
+class EmbreeFinder:
+    """Intel's Embree: a reference that shares no code with the package."""
+
+    def __init__(self, camera, triangles, region):
+        rays = camera.rays()[0].astype(np.float32)
+        self._valid = np.isfinite(rays[..., 2]) & (True if region is None else region)
+        self._rays = np.ascontiguousarray(rays[self._valid])
+        self._triangles = triangles
+
+    def find(self, position, pixel, triangle, barycentric, depth):
+        # Embree's own tolerances suit millimetres better than metres.
+        scene = EmbreeScene()
+        TriangleMesh(scene, np.ascontiguousarray(1e3 * position.numpy()[self._triangles]))
+        hits = scene.run(np.zeros_like(self._rays), self._rays, output=True)
+        triangle.fill_(kernels.NO_TRIANGLE)
+        triangle.numpy()[self._valid] = hits["primID"]
+        barycentric.numpy()[self._valid] = np.stack([hits["u"], hits["v"]], axis=-1)
+        depth.numpy()[self._valid] = 1e-3 * hits["tfar"]
+
+
+def by_embree(camera, mesh, region=None):
+    renderer = SkinRenderer(camera, mesh, region=region)
+    renderer._finder = EmbreeFinder(camera, mesh.triangles, region)
+    return renderer
+
+
+def by_ray_query(camera, mesh, region=None):
+    return SkinRenderer(camera, mesh, region=region, visibility=Visibility.RAY_QUERY)
+
+
+OTHERS = [by_embree, by_ray_query]
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +82,9 @@ def sphere_depth(camera):
     return depth, origin + depth[..., None] * rays
 
 
-@pytest.mark.parametrize("visibility", list(Visibility))
-def test_dome_at_rest_is_the_sphere(camera, dome, visibility):
-    view = SkinRenderer(camera, dome, visibility=visibility).render(dome.rest_position_m)
+@pytest.mark.parametrize("renderer_of", [SkinRenderer, *OTHERS])
+def test_dome_at_rest_is_the_sphere(camera, dome, renderer_of):
+    view = renderer_of(camera, dome).render(dome.rest_position_m)
     depth, points = sphere_depth(camera)
     # The polygon of the base ring ends where the sphere does, up to its sag.
     assert view.mask[points[..., 2] > SAG_M].all()
@@ -66,20 +100,11 @@ def test_dome_at_rest_is_the_sphere(camera, dome, visibility):
     assert np.linalg.norm(view.material_point_m - points, axis=2)[seen].max() < 1.2 * SAG_M
 
 
-def test_nothing_is_invented_beyond_the_skin(camera, dome):
-    view = SkinRenderer(camera, dome).render(dome.rest_position_m)
-    assert 0.6 < view.mask.mean() < 0.9
-    for array in (view.depth_m, view.normal, view.material_point_m):
-        assert np.all(np.isfinite(array[view.mask]))
-        assert np.all(np.isnan(array[~view.mask]))
-    assert np.all(view.triangle[~view.mask] == -1)
-
-
-@pytest.mark.parametrize("visibility", OTHERS)
-def test_rasteriser_agrees_with_ray_tracing_on_a_pressed_skin(camera, dome, visibility):
+@pytest.mark.parametrize("other", OTHERS)
+def test_rasteriser_agrees_with_ray_tracing_on_a_pressed_skin(camera, dome, other):
     position = pressed(dome)
     view = SkinRenderer(camera, dome).render(position)
-    expected = SkinRenderer(camera, dome, visibility=visibility).render(position)
+    expected = other(camera, dome).render(position)
     # Single precision may put a ray at the base ring on either side.
     assert np.count_nonzero(view.mask != expected.mask) <= 2
     both = view.mask & expected.mask
@@ -88,14 +113,14 @@ def test_rasteriser_agrees_with_ray_tracing_on_a_pressed_skin(camera, dome, visi
     assert np.abs(view.material_point_m - expected.material_point_m)[both].max() < 1e-7
 
 
-@pytest.mark.parametrize("visibility", OTHERS)
-def test_rasteriser_agrees_where_the_skin_folds(camera, dome, visibility):
+@pytest.mark.parametrize("other", OTHERS)
+def test_rasteriser_agrees_where_the_skin_folds(camera, dome, other):
     # The skin is dragged over itself: some rays meet it three times.
     position = pressed(dome, depth_m=0.002)
     near = np.linalg.norm(position - np.array([0.0, 0.006, 0.0145]), axis=1) < 0.003
     position[near] += np.array([0.0, 0.004, -0.002])
     view = SkinRenderer(camera, dome).render(position)
-    expected = SkinRenderer(camera, dome, visibility=visibility).render(position)
+    expected = other(camera, dome).render(position)
     both = view.mask & expected.mask
     assert np.count_nonzero(view.mask != expected.mask) <= 2
     differs = np.abs(view.depth_m - expected.depth_m)[both] > 1e-6
@@ -108,6 +133,11 @@ def test_material_points_move_with_the_skin(camera, dome):
     view = SkinRenderer(camera, dome).render(position)
     rays = camera.rays()[0] @ camera.pose.rotation().T
     seen = view.mask
+    for array in (view.depth_m, view.normal, view.material_point_m):
+        assert np.all(np.isfinite(array[seen]))
+        assert np.all(np.isnan(array[~seen]))
+    assert np.sum(view.normal * camera.rays()[0], axis=2)[seen].max() <= 0.0
+    assert np.linalg.norm(view.normal[seen], axis=1) == pytest.approx(1.0, abs=1e-5)
     hit = camera.pose.position_m + view.depth_m[..., None] * rays
     weight = np.concatenate(
         [1.0 - view.barycentric.sum(axis=2, keepdims=True), view.barycentric], axis=2
@@ -120,12 +150,12 @@ def test_material_points_move_with_the_skin(camera, dome):
     assert np.linalg.norm(rest - hit[seen], axis=1).max() > 0.002
 
 
-@pytest.mark.parametrize("visibility", list(Visibility))
-def test_nothing_is_seen_outside_of_the_region(camera, dome, visibility):
+@pytest.mark.parametrize("renderer_of", [SkinRenderer, *OTHERS])
+def test_nothing_is_seen_outside_of_the_region(camera, dome, renderer_of):
     rows, columns = np.mgrid[0:240, 0:320]
     region = np.hypot(columns - 150.0, rows - 110.0) < 70.0
-    whole = SkinRenderer(camera, dome, visibility=visibility).render(pressed(dome))
-    view = SkinRenderer(camera, dome, visibility=visibility, region=region).render(pressed(dome))
+    whole = renderer_of(camera, dome).render(pressed(dome))
+    view = renderer_of(camera, dome, region=region).render(pressed(dome))
     assert np.array_equal(view.mask, region)
     assert np.array_equal(view.depth_m[region], whole.depth_m[region])
     assert np.all(np.isnan(view.depth_m[~region]))
@@ -133,19 +163,12 @@ def test_nothing_is_seen_outside_of_the_region(camera, dome, visibility):
         SkinRenderer(camera, dome, region=region[:100])
 
 
-def test_normals_face_the_camera(camera, dome):
-    view = SkinRenderer(camera, dome).render(pressed(dome))
-    facing = np.sum(view.normal * camera.rays()[0], axis=2)[view.mask]
-    assert facing.max() <= 0.0
-    assert np.linalg.norm(view.normal[view.mask], axis=1) == pytest.approx(1.0, abs=1e-5)
-
-
 def test_large_triangles_lose_no_pixel_to_the_fisheye():
     # Each triangle fills a good part of the image, where its edges are strongly curved.
     mesh = dome_skin(RADIUS_M, 0.5 * RADIUS_M)
     camera = FisheyeCamera(200, 200, 60.0, (99.5, 99.5), pose=Pose(np.array([0, 0, 0.0025])))
     view = SkinRenderer(camera, mesh).render(mesh.rest_position_m)
-    expected = SkinRenderer(camera, mesh, visibility=Visibility.EMBREE).render(mesh.rest_position_m)
+    expected = by_embree(camera, mesh).render(mesh.rest_position_m)
     assert np.array_equal(view.mask, expected.mask)
     assert np.abs(view.depth_m - expected.depth_m)[view.mask].max() < 1e-7
 
@@ -157,20 +180,20 @@ def test_large_triangles_lose_no_pixel_to_a_distorting_pinhole():
     distortion = (-0.3, 0.1, 0.01, -0.01)
     camera = PinholeCamera(200, 200, 130.0, (99.5, 99.5), distortion, pose)
     view = SkinRenderer(camera, mesh).render(mesh.rest_position_m)
-    expected = SkinRenderer(camera, mesh, visibility=Visibility.EMBREE).render(mesh.rest_position_m)
+    expected = by_embree(camera, mesh).render(mesh.rest_position_m)
     assert 0.3 < view.mask.mean() < 1.0
     assert np.array_equal(view.mask, expected.mask)
     assert np.abs(view.depth_m - expected.depth_m)[view.mask].max() < 1e-7
     assert camera.project(view.material_point_m[100, 40]) == pytest.approx([40.0, 100.0], abs=1e-3)
 
 
-@pytest.mark.parametrize(("width", "height"), [(7, 5), (8, 1), (3, 4), (1, 9), (17, 3)])
+@pytest.mark.parametrize(("width", "height"), [(7, 5), (1, 9), (17, 3)])
 def test_images_of_any_size_are_seen_to_the_last_pixel(width, height):
     # The skin fills the image; a row is no multiple of the pixels that are tested at once.
     camera = FisheyeCamera(width, height, 20.0, (0.5 * (width - 1), 0.5 * (height - 1)))
     mesh = flat_pad_skin((0.02, 0.02), 0.004, 1e-3)
     view = SkinRenderer(camera, mesh).render(mesh.rest_position_m)
-    expected = SkinRenderer(camera, mesh, visibility=Visibility.EMBREE).render(mesh.rest_position_m)
+    expected = by_embree(camera, mesh).render(mesh.rest_position_m)
     assert view.mask.all()
     assert np.abs(view.depth_m - expected.depth_m).max() < 1e-7
     assert np.abs(view.material_point_m - expected.material_point_m).max() < 1e-7
@@ -181,7 +204,7 @@ def test_image_too_small_for_the_rasteriser_is_refused():
     mesh = flat_pad_skin((0.02, 0.02), 0.004, 1e-3)
     with pytest.raises(ValueError, match="at least 8 pixels"):
         SkinRenderer(camera, mesh)
-    view = SkinRenderer(camera, mesh, visibility=Visibility.RAY_QUERY).render(mesh.rest_position_m)
+    view = by_ray_query(camera, mesh).render(mesh.rest_position_m)
     assert view.mask.all()
 
 
@@ -208,21 +231,9 @@ def test_kernels_of_a_cpu_fill_the_view_as_the_others_do(camera, dome):
         assert np.array_equal(getattr(view, name), getattr(expected, name), equal_nan=True), name
 
 
-def test_views_do_not_share_memory(camera, dome):
-    renderer = SkinRenderer(camera, dome)
-    first = renderer.render(dome.rest_position_m)
-    kept = first.depth_m.copy()
-    renderer.render(pressed(dome))
-    assert np.array_equal(first.depth_m, kept, equal_nan=True)
-
-
-@pytest.mark.parametrize("position", [np.zeros((5, 3)), np.zeros((0, 3))])
-def test_another_number_of_vertices_is_refused(camera, dome, position):
+def test_vertices_of_another_skin_or_that_are_not_finite_are_refused(camera, dome):
     with pytest.raises(ValueError, match="as the skin mesh"):
-        SkinRenderer(camera, dome).render(position)
-
-
-def test_vertices_that_are_not_finite_are_refused(camera, dome):
+        SkinRenderer(camera, dome).render(np.zeros((5, 3)))
     position = dome.rest_position_m.copy()
     position[7, 1] = np.nan
     with pytest.raises(ValueError, match="not finite"):

@@ -18,7 +18,7 @@ from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.split import hold_out_of_protocols
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.learning.untouched import refined_idle, untouched_frames, with_refined_idle
+from dotsim_ros.learning.pattern import refined_idle, untouched_frames
 from dotsim_ros.optics.network.card import read_network
 from dotsim_ros.optics.network.completion import CompletionNetwork
 from dotsim_ros.specification import load_sensor
@@ -61,7 +61,7 @@ def test_untouched_frames_take_noise_off_the_idle_image():
     def noise_levels(image):
         return np.sqrt(np.mean((image - scene) ** 2))
 
-    refined = with_refined_idle(filmed).idle
+    refined = refined_idle(filmed)
     assert refined.dtype == np.uint8
     assert noise_levels(refined) < noise_levels(filmed.idle) / 3.0
     some = refined_idle(filmed, ["press_0"])

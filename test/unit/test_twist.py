@@ -15,14 +15,14 @@ component = st.floats(-2.0, 2.0)
 vector = st.tuples(component, component, component)
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=30)
 @given(linear=vector, angular=vector, along=st.sampled_from(TwistFrame))
 def test_a_long_step_is_many_short_ones(linear, angular, along):
     start = Pose(np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.5, 0.5, 0.5]))
     whole = advance(start, linear, angular, duration_s=0.5, along=along)
     stepped = start
-    for _ in range(50):
-        stepped = advance(stepped, linear, angular, duration_s=0.01, along=along)
+    for _ in range(10):
+        stepped = advance(stepped, linear, angular, duration_s=0.05, along=along)
     assert stepped.position_m == pytest.approx(whole.position_m, abs=1e-9)
     assert stepped.rotation() == pytest.approx(whole.rotation(), abs=1e-9)
 

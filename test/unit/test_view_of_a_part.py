@@ -38,13 +38,16 @@ def test_a_part_shows_what_the_whole_shows_there(sensor, pressed):
     change = np.abs(whole.image[40:440, 120:520].astype(float) - part.image)
     assert np.quantile(change, 0.9999) <= 1.0
     assert change.max() <= 3.0
-    assert part.depth_m == pytest.approx(whole.depth_m[40:440, 120:520], abs=1e-7, nan_ok=True)
+    np.testing.assert_allclose(part.depth_m, whole.depth_m[40:440, 120:520], rtol=0, atol=1e-7)
     point = np.array([0.002, -0.001, 0.012])
     assert part_camera.project(point) == pytest.approx(camera.project(point) - [120, 40])
     assert np.array_equal(seen(sensor, pressed)[1].image, whole.image)
 
 
 def test_another_size_is_rendered_at_its_own_rays(sensor, pressed):
+    with pytest.raises(ValueError, match="aspect ratio"):
+        sensor.set_view(None, (320, 180))
+    assert (sensor.camera.width, sensor.camera.height) == (640, 480)
     whole = seen(sensor, pressed)[1]
     small = seen(sensor, pressed, None, (320, 240))[1]
     resized = cv2.resize(whole.image, (320, 240), interpolation=cv2.INTER_AREA).astype(float)
@@ -54,18 +57,13 @@ def test_another_size_is_rendered_at_its_own_rays(sensor, pressed):
     assert np.nanmax(np.abs(four - small.depth_m)[60:180, 80:240]) < 2e-5
 
 
-def test_a_size_of_another_aspect_ratio_is_refused_and_the_view_stays(sensor):
-    with pytest.raises(ValueError, match="aspect ratio"):
-        sensor.set_view(None, (320, 180))
-    assert (sensor.camera.width, sensor.camera.height) == (640, 480)
-
-
 def test_the_vignetting_of_a_part_is_that_of_the_whole(sensor):
     vignetting = Vignetting((-0.3, 0.05))
     camera = sensor.camera
     cut = vignetting.brightness(camera)[40:440, 120:520]
     part = camera.part(120, 40, 400, 400)
-    assert vignetting.of_part(400 / 480).brightness(part) == pytest.approx(cut, abs=1e-6)
+    found = vignetting.of_part(400 / 480).brightness(part)
+    np.testing.assert_allclose(found, cut, rtol=0, atol=1e-6)
 
 
 def test_samples_between_the_pixels_go_along():
@@ -89,12 +87,12 @@ def test_a_range_is_a_depth_along_the_axis_and_a_radius_of_the_dome(sensor):
     assert np.isnan(axial_m[~ahead]).all()
     assert np.isfinite(untouched.depth_m[~ahead]).any()
     points_m = untouched.depth_m[..., None] * rays
-    assert axial_m[ahead] == pytest.approx(points_m[..., 2][ahead], abs=1e-7, nan_ok=True)
+    np.testing.assert_allclose(axial_m[ahead], points_m[..., 2][ahead], rtol=0, atol=1e-7)
     on_dome = np.isfinite(untouched.depth_m)
     radius_m = conversion.radius_m(untouched.depth_m)
-    assert radius_m[on_dome] == pytest.approx(0.01575, abs=2e-5)
+    assert np.abs(radius_m[on_dome] - 0.01575).max() < 2e-5
     steps = radius_bytes(radius_m, (0.01223, 0.01688))
     assert set(np.unique(steps[~on_dome])) == {0}
     # As a reader of the driver's imgDepth takes it.
     read_mm = steps[on_dome] / 256.0 * (16.88 - 12.23) + 12.23
-    assert read_mm == pytest.approx(15.75, abs=0.03)
+    assert np.abs(read_mm - 15.75).max() < 0.03
