@@ -25,6 +25,7 @@ from dotsim_ros.twin.footage import (
     camera_for,
     read_filmed_data,
     render_filmed,
+    with_measured_skin,
 )
 
 HEIGHT, WIDTH = 60, 80
