@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import subprocess
 import sys
 from collections.abc import Callable
@@ -20,8 +19,8 @@ from hostile import BOMB
 from dotsim_ros.nodes.common.arguments import check_start
 from dotsim_ros.nodes.common.declare import declare_fields, read
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
-from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.common.parameter_file import found_parameter_file, parameters_of
+from dotsim_ros.nodes.common.parameters import known_parameters
 from dotsim_ros.nodes.tactile_policy.node import TactilePolicy
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
@@ -61,7 +60,7 @@ ARGUMENTS: dict[str, list[str]] = {
 }
 ARM_PARAMETERS: dict[str, dict[str, Any]] = {
     "start_pose: the arm does not reach": {"start_pose": [1.3, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]},
-    "start_pose needs 7 numbers": {"start_pose": [0.35, 0.0, 0.3]},
+    "start_pose is": {"start_pose": [0.35, 0.0, 0.3]},
     "indenter_pose: quaternion": {"indenter_pose": [0.35, 0.0, 0.3, 1.0, 1.0, 0.0, 0.0]},
     "fail_delay_s": {"fail_delay_s": -1.0},
     "must differ": {"sensor_frame": "link_base"},
@@ -249,8 +248,8 @@ def test_every_executable_answers_help_with_all_its_parameters() -> None:
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "usage: xarm_sim [--ros-args" in done.stdout
-    for field in dataclasses.fields(XarmSimParameters):
-        assert f"  {field.name} ({field.default!r}): {option_of(field).description}" in done.stdout
+    for name, (default, parameter) in known_parameters(XarmSimParameters).items():
+        assert f"  {name} ({default!r}): {parameter.help}" in done.stdout
 
 
 TWO_NODES = """

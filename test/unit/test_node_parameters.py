@@ -10,7 +10,7 @@ import yaml
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.files import parameter_path
-from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.common.parameters import known_parameters
 from dotsim_ros.nodes.tactile_sim.framing import Framing
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.specification import load_sensor
@@ -22,7 +22,7 @@ from dotsim_ros.specification import load_sensor
         ({"rate_hz": 0.0}, "rate_hz"),
         ({"rate_hz": float("nan")}, "rate_hz"),
         ({"clock": "sundial"}, "expected one of realtime, lockstep"),
-        ({"crop_px": (0, 0, 10)}, "crop_px needs 4 numbers"),
+        ({"crop_px": (0, 0, 10)}, "crop_px is .* expected 4 numbers"),
         ({"crop_px": (5, 0, 0, 0)}, "four zeros"),
         ({"image_size_px": (640, 0)}, "both width and height"),
         ({"grid_spacing_m": 1e-4}, r"grid_spacing_m is 0\.0001, expected a number from 0\.0002"),
@@ -44,8 +44,8 @@ def test_bad_values_and_contradictions_are_refused_with_the_reason(changes, reas
 
 
 def test_every_parameter_says_what_it_is():
-    for field in dataclasses.fields(TactileSimParameters):
-        assert option_of(field).description.endswith((".", "zeros: as it is.")), field.name
+    for name, (_, parameter) in known_parameters(TactileSimParameters).items():
+        assert parameter.help.endswith("."), name
 
 
 def test_the_shipped_file_holds_the_defaults():
@@ -54,7 +54,7 @@ def test_the_shipped_file_holds_the_defaults():
     plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
     parameters = TactileSimParameters(**plain)
     assert parameters == TactileSimParameters()
-    assert set(plain) == {field.name for field in dataclasses.fields(TactileSimParameters)}
+    assert set(plain) == known_parameters(TactileSimParameters).keys()
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,7 +24,8 @@ from dotsim_ros.data.shipped_presses import ShippedPress, read_presses
 from dotsim_ros.data.trajectory import BASE_FRAME, Topics, read_trajectory
 from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.files import parameter_path
-from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.io.quantity import check_fields, quantity
+from dotsim_ros.nodes.common.parameters import READ_ONLY
 from dotsim_ros.nodes.indenter_player.forces import PlayedForces
 from dotsim_ros.nodes.indenter_player.pad import pad_site, pad_slide
 from dotsim_ros.specification import GelSpecification, load_sensor
@@ -41,166 +43,113 @@ class PlayerParameters:
         ValueError: a value out of its range, or parameters that do not go together.
     """
 
-    source: str = option(
+    FIXED: ClassVar[str] = READ_ONLY
+
+    source: str = quantity(
         "press",
-        "what to play: a scripted press-hold-release, slide or twist, recorded real presses, or "
-        "the poses of a bag",
+        help="what to play: a scripted press-hold-release, slide or twist, recorded real presses, "
+        "or the poses of a bag",
         choices=("press", "slide", "twist", "presses", "bag"),
-        read_only=True,
     )
-    path: str = option(
+    path: str = quantity(
         "",
-        "folder of the bag, or the .npz of real presses (empty: the dozen shipped ones)",
+        help="folder of the bag, or the .npz of real presses (empty: the dozen shipped ones)",
         is_path=True,
-        read_only=True,
     )
-    bag_topic: str = option(
-        "/indenter/pose", "topic of the bag to play (PoseStamped)", read_only=True
-    )
-    bag_force_topic: str = option(
+    bag_topic: str = quantity("/indenter/pose", help="topic of the bag to play (PoseStamped)")
+    bag_force_topic: str = quantity(
         "",
-        "topic of the bag (WrenchStamped) whose forces go out on indenter/wrench, one with the "
-        "stamp of each pose, for a sensor with control: force; empty: none",
-        read_only=True,
+        help="topic of the bag (WrenchStamped) whose forces go out on indenter/wrench, one with "
+        "the stamp of each pose, for a sensor with control: force; empty: none",
     )
-    frame_id: str = option(
-        BASE_FRAME, "frame of the published poses; those of a bag keep their own", read_only=True
+    frame_id: str = quantity(
+        BASE_FRAME, help="frame of the published poses; those of a bag keep their own"
     )
-    rate_hz: float = option(
+    rate_hz: float = quantity(
         0.0,
-        "rate of the poses; 0: the recording's own stamps for a bag, 100 Hz otherwise",
-        minimum=0.0,
-        maximum=1000.0,
-        read_only=True,
+        help="rate of the poses; 0: the recording's own stamps for a bag, 100 Hz otherwise",
+        low=0.0,
+        high=1000.0,
     )
-    loop: bool = option(False, "repeat the motion until stopped", read_only=True)
-    exit_at_end: bool = option(
-        False, "exit with status 0 once everything has been played", read_only=True
+    loop: bool = quantity(False, help="repeat the motion until stopped")
+    exit_at_end: bool = quantity(False, help="exit with status 0 once everything has been played")
+    wait_for_subscriber_s: float = quantity(
+        10.0, help="longest wait for subscribers before the first pose", low=0.0, high=3600.0
     )
-    wait_for_subscriber_s: float = option(
-        10.0,
-        "longest wait for subscribers before the first pose",
-        minimum=0.0,
-        maximum=3600.0,
-        read_only=True,
-    )
-    subscriber_count: int = option(
+    subscriber_count: int = quantity(
         1,
-        "how many subscribers to wait for: 2 where a recorder listens next to the sensor",
-        minimum=1,
-        maximum=100,
-        read_only=True,
+        help="how many subscribers to wait for: 2 where a recorder listens next to the sensor",
+        low=1,
+        high=100,
     )
-    wait_for_answer: bool = option(
+    wait_for_answer: bool = quantity(
         False,
-        "hold each pose back until a wrench carries the stamp of the one before (lockstep)",
-        read_only=True,
+        help="hold each pose back until a wrench carries the stamp of the one before (lockstep)",
     )
-    answer_timeout_s: float = option(
-        10.0,
-        "longest wait for that wrench before the next pose",
-        minimum=0.01,
-        maximum=3600.0,
-        read_only=True,
+    answer_timeout_s: float = quantity(
+        10.0, help="longest wait for that wrench before the next pose", low=0.01, high=3600.0
     )
-    sensor: str = option(
+    sensor: str = quantity(
         "densetact2",
-        "sensor whose skin is met: a name below params/sensors, or the path of a YAML file; the "
-        "poses of a bag are played as they are",
-        read_only=True,
+        help="sensor whose skin is met: a name below params/sensors, or the path of a YAML file; "
+        "the poses of a bag are played as they are",
     )
-    outer_radius_m: float = option(
+    outer_radius_m: float = quantity(
+        0.0, help="radius of the dome's skin at rest; 0: that of the sensor", low=0.0, high=1.0
+    )
+    tilt_deg: float = quantity(
         0.0,
-        "radius of the dome's skin at rest; 0: that of the sensor",
-        minimum=0.0,
-        maximum=1.0,
-        read_only=True,
+        help="place on a dome: angle from the apex; a pad is met in its middle",
+        low=0.0,
+        high=90.0,
     )
-    tilt_deg: float = option(
+    azimuth_deg: float = quantity(
+        0.0, help="place on a dome: angle about +z, from +x", low=-360.0, high=360.0
+    )
+    spin_deg: float = quantity(
+        0.0, help="rotation of the indenter about its own axis", low=-360.0, high=360.0
+    )
+    clearance_m: float = quantity(
+        0.002, help="gap between skin and tip before and after a press", low=1e-5, high=0.1
+    )
+    depth_m: float = quantity(0.002, help="depth of a scripted press", low=1e-6, high=0.1)
+    speed_m_s: float = quantity(0.005, help="speed of presses", low=1e-5, high=1.0)
+    hold_s: float = quantity(
+        0.5, help="duration of the hold at the deepest point", low=0.0, high=3600.0
+    )
+    slide_distance_m: float = quantity(
+        0.006, help="length of a slide on the skin", low=1e-5, high=0.1
+    )
+    slide_heading_deg: float = quantity(
         0.0,
-        "place on a dome: angle from the apex; a pad is met in its middle",
-        minimum=0.0,
-        maximum=90.0,
-        read_only=True,
+        help="heading of a slide, from the indenter's +x towards its +y",
+        low=-360.0,
+        high=360.0,
     )
-    azimuth_deg: float = option(
-        0.0,
-        "place on a dome: angle about +z, from +x",
-        minimum=-360.0,
-        maximum=360.0,
-        read_only=True,
+    slide_speed_m_s: float = quantity(0.01, help="speed of a slide", low=1e-5, high=1.0)
+    twist_angle_deg: float = quantity(
+        30.0, help="angle of a twist, which then turns back", low=-180.0, high=180.0
     )
-    spin_deg: float = option(
-        0.0,
-        "rotation of the indenter about its own axis",
-        minimum=-360.0,
-        maximum=360.0,
-        read_only=True,
-    )
-    clearance_m: float = option(
-        0.002,
-        "gap between skin and tip before and after a press",
-        minimum=1e-5,
-        maximum=0.1,
-        read_only=True,
-    )
-    depth_m: float = option(
-        0.002, "depth of a scripted press", minimum=1e-6, maximum=0.1, read_only=True
-    )
-    speed_m_s: float = option(0.005, "speed of presses", minimum=1e-5, maximum=1.0, read_only=True)
-    hold_s: float = option(
-        0.5,
-        "duration of the hold at the deepest point",
-        minimum=0.0,
-        maximum=3600.0,
-        read_only=True,
-    )
-    slide_distance_m: float = option(
-        0.006, "length of a slide on the skin", minimum=1e-5, maximum=0.1, read_only=True
-    )
-    slide_heading_deg: float = option(
-        0.0,
-        "heading of a slide, from the indenter's +x towards its +y",
-        minimum=-360.0,
-        maximum=360.0,
-        read_only=True,
-    )
-    slide_speed_m_s: float = option(
-        0.01, "speed of a slide", minimum=1e-5, maximum=1.0, read_only=True
-    )
-    twist_angle_deg: float = option(
-        30.0,
-        "angle of a twist, which then turns back",
-        minimum=-180.0,
-        maximum=180.0,
-        read_only=True,
-    )
-    twist_rate_deg_s: float = option(
-        30.0, "angular speed of a twist", minimum=0.01, maximum=3600.0, read_only=True
-    )
-    press_numbers: tuple[int, ...] = option(
+    twist_rate_deg_s: float = quantity(30.0, help="angular speed of a twist", low=0.01, high=3600.0)
+    press_numbers: tuple[int, ...] = quantity(
         (-1,),
-        "which recorded presses to play, in this order; [-1]: all",
-        minimum=-1,
-        read_only=True,
+        help="which recorded presses to play, in this order; [-1]: all",
+        low=-1,
+        high=1_000_000,
+        any_length=True,
     )
-    indenter_radius_m: float = option(
+    indenter_radius_m: float = quantity(
         0.004,
-        "distance from the indenter's tip to the point that was recorded: a sphere's radius",
-        minimum=0.0,
-        maximum=0.1,
-        read_only=True,
+        help="distance from the indenter's tip to the point that was recorded: a sphere's radius",
+        low=0.0,
+        high=0.1,
     )
-    depth_limit_m: float = option(
-        0.0,
-        "recorded presses turn at this depth; 0: as deep as they went",
-        minimum=0.0,
-        maximum=0.1,
-        read_only=True,
+    depth_limit_m: float = quantity(
+        0.0, help="recorded presses turn at this depth; 0: as deep as they went", low=0.0, high=0.1
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        check_fields("", self)
         if self.loop and self.exit_at_end:
             raise ValueError("loop and exit_at_end exclude each other: a loop has no end")
         if self.source == "bag" and not self.path:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -31,10 +31,11 @@ from rclpy.utilities import try_shutdown
 from dotsim_ros.data.bag import PARTIAL, unfinished_path
 from dotsim_ros.data.bag_metadata import METADATA
 from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.quantity import check_fields, quantity
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.health import Report, statuses_of
-from dotsim_ros.nodes.common.options import check_options, option
 from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.parameters import READ_ONLY
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.tactile_record.recording import (
     FLUSH_PERIOD_S,
@@ -72,14 +73,15 @@ class RecordParameters:
         ValueError: a value out of its range, a topic without a type, or one named twice or wrongly.
     """
 
-    output: str = option(
+    FIXED: ClassVar[str] = READ_ONLY
+
+    output: str = quantity(
         "",
-        "folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the recording "
-        "ends it has .partial behind its name",
+        help="folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the "
+        "recording ends it has .partial behind its name",
         is_path=True,
-        read_only=True,
     )
-    topics: tuple[str, ...] = option(
+    topics: tuple[str, ...] = quantity(
         (
             "image_raw",
             "camera_info",
@@ -89,26 +91,20 @@ class RecordParameters:
             "indenter/pose",
             "indenter/state",
         ),
-        "topics to record: names of the sensor, or NAME=PACKAGE/msg/TYPE of a stamped message",
-        read_only=True,
+        help="topics to record: names of the sensor, or NAME=PACKAGE/msg/TYPE of a stamped message",
     )
-    queue_mb: int = option(
+    queue_mb: int = quantity(
         512,
-        "memory (MB) for messages that wait for the disk; messages beyond it are dropped",
-        minimum=1,
-        maximum=65536,
-        read_only=True,
+        help="memory (MB) for messages that wait for the disk; messages beyond it are dropped",
+        low=1,
+        high=65536,
     )
-    duration_s: float = option(
-        0.0,
-        "end the recording after this time; 0: when stopped",
-        minimum=0.0,
-        maximum=1e6,
-        read_only=True,
+    duration_s: float = quantity(
+        0.0, help="end the recording after this time; 0: when stopped", low=0.0, high=1e6
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        check_fields("", self)
         self.message_types()
 
     def message_types(self) -> dict[str, str]:

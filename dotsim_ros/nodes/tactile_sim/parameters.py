@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.documents import value_text
-from dotsim_ros.io.quantity import check_value, quantities_of
-from dotsim_ros.nodes.common.options import option
+from dotsim_ros.io.quantity import check_value, quantities_of, quantity
+from dotsim_ros.nodes.common.parameters import CONFIGURED, FREE, READ_ONLY
 from dotsim_ros.nodes.simulated_time.latency import LONGEST_S, check_quantiles
 from dotsim_ros.nodes.tactile_sim.output_parameters import OutputParameters
 from dotsim_ros.nodes.tactile_sim.profiles import BY_CLOCK, NAMES, resolve_profile
@@ -37,239 +38,219 @@ class TactileSimParameters(OutputParameters):
         ValueError: a value out of its range, or two that contradict each other.
     """
 
-    sensor: str = option(
+    FIXED: ClassVar[str] = CONFIGURED
+
+    sensor: str = quantity(
         "densetact2",
-        "Sensor to simulate: a name below params/sensors, or the path of a YAML file.",
-        fixed_while_configured=True,
+        help="Sensor to simulate: a name below params/sensors, or the path of a YAML file.",
     )
-    device: str = option(
-        "cpu", "Where the gel is computed: cpu, or cuda:0.", fixed_while_configured=True
-    )
-    indenter: str = option(
+    device: str = quantity("cpu", help="Where the gel is computed: cpu, or cuda:0.")
+    indenter: str = quantity(
         "sphere_4mm",
-        "What presses: a name below params/indenters, the path of an STL, OBJ, PLY or YAML file, "
-        "or a definition such as 'sphere(radius_m=0.003)' or "
-        "'mesh(path=screw.stl, scale=0.001)'.",
+        help="What presses: a name below params/indenters, the path of an STL, OBJ, PLY or YAML "
+        "file, or a definition such as 'sphere(radius_m=0.003)' or 'mesh(path=screw.stl, "
+        "scale=0.001)'.",
+        fixed=FREE,
     )
-    clock: str = option(
+    clock: str = quantity(
         REALTIME,
-        "realtime: frames at rate_hz from the newest pose; lockstep: one frame for each pose, "
+        help="realtime: frames at rate_hz from the newest pose; lockstep: one frame for each pose, "
         "with its stamp.",
         choices=(REALTIME, LOCKSTEP),
-        fixed_while_configured=True,
     )
-    profile: str = option(
+    profile: str = quantity(
         BY_CLOCK,
-        "How accurately the gel is solved: exact (the sensor's own solver, any motion in a frame), "
-        "realtime, fast (a coarser grid), or auto (the finest that the machine affords); by_clock: "
-        "realtime, and in lockstep, which takes no other, exact. docs/run.md tells the errors.",
+        help="How accurately the gel is solved: exact (the sensor's own solver, any motion in a "
+        "frame), realtime, fast (a coarser grid), or auto (the finest that the machine affords); "
+        "by_clock: realtime, and in lockstep, which takes no other, exact. docs/run.md tells the "
+        "errors.",
         choices=NAMES,
-        fixed_while_configured=True,
     )
-    grid_spacing_m: float = option(
+    grid_spacing_m: float = quantity(
         0.0,
-        "Spacing of the gel's grid in place of the sensor's own, in every profile, for a rate that "
-        "this machine does not reach otherwise; 0: as in the sensor's file. docs/gel.md tells what "
-        "it costs.",
-        minimum=0.0,
-        maximum=LARGEST_GRID_M,
-        fixed_while_configured=True,
+        help="Spacing of the gel's grid in place of the sensor's own, in every profile, for a rate "
+        "that this machine does not reach otherwise; 0: as in the sensor's file. docs/gel.md tells "
+        "what it costs.",
+        low=0.0,
+        high=LARGEST_GRID_M,
     )
-    rate_hz: float = option(
-        25.0, "Frames per second of the real-time clock.", minimum=0.5, maximum=240.0
+    rate_hz: float = quantity(
+        25.0, help="Frames per second of the real-time clock.", low=0.5, high=240.0, fixed=FREE
     )
-    input: str = option(
+    input: str = quantity(
         ANY,
-        "Which input moves the indenter; any: whichever speaks first, the other one is refused "
-        "while it goes on.",
+        help="Which input moves the indenter; any: whichever speaks first, the other one is "
+        "refused while it goes on.",
         choices=(POSE, TWIST, ANY),
-        fixed_while_configured=True,
     )
-    control: str = option(
+    control: str = quantity(
         BY_POSE,
-        "What says how deep the indenter presses. pose: its pose; force: the normal force on "
+        help="What says how deep the indenter presses. pose: its pose; force: the normal force on "
         "indenter/wrench, along the indenter's z axis, where the pose says all but the depth.",
         choices=(BY_POSE, BY_FORCE),
-        read_only=True,
+        fixed=READ_ONLY,
     )
-    pose_source: str = option(
+    pose_source: str = quantity(
         TOPIC,
-        "Where the pose comes from. topic: indenter/pose; odometry: indenter/odometry; tf: the "
-        "place of indenter_frame in base_frame on /tf and /tf_static. docs/simulators.md.",
+        help="Where the pose comes from. topic: indenter/pose; odometry: indenter/odometry; tf: "
+        "the place of indenter_frame in base_frame on /tf and /tf_static. docs/simulators.md.",
         choices=(TOPIC, TF, ODOMETRY),
-        fixed_while_configured=True,
     )
-    twist_message: str = option(
-        TWIST_STAMPED,
-        "Type of indenter/twist.",
-        choices=(TWIST_STAMPED, TWIST_PLAIN),
-        fixed_while_configured=True,
+    twist_message: str = quantity(
+        TWIST_STAMPED, help="Type of indenter/twist.", choices=(TWIST_STAMPED, TWIST_PLAIN)
     )
-    input_timeout_s: float = option(
+    input_timeout_s: float = quantity(
         0.5,
-        "After this long without a message a velocity counts as zero, the other input may take "
-        "over, and the diagnostics warn.",
-        minimum=0.02,
-        maximum=3600.0,
+        help="After this long without a message a velocity counts as zero, the other input may "
+        "take over, and the diagnostics warn.",
+        low=0.02,
+        high=3600.0,
+        fixed=FREE,
     )
-    maximum_jump_m: float = option(
+    maximum_jump_m: float = quantity(
         0.01,
-        "A pose further than this from the one before is a new start, not a motion through what "
-        "lies between.",
-        minimum=1e-4,
-        maximum=10.0,
+        help="A pose further than this from the one before is a new start, not a motion through "
+        "what lies between.",
+        low=1e-4,
+        high=10.0,
+        fixed=FREE,
     )
-    maximum_lag_m: float = option(
+    maximum_lag_m: float = quantity(
         0.001,
-        "An indenter that a frame shows further than this from its newest pose is warned of: it "
-        "lags behind since it moves faster than frames can follow in contact.",
-        minimum=1e-5,
-        maximum=10.0,
+        help="An indenter that a frame shows further than this from its newest pose is warned of: "
+        "it lags behind since it moves faster than frames can follow in contact.",
+        low=1e-5,
+        high=10.0,
+        fixed=FREE,
     )
-    maximum_step_s: float = option(
+    maximum_step_s: float = quantity(
         1.0,
-        "Stamps that step back by more than this are a new start (a bag played again); by less, "
-        "the pose is out of order and refused.",
-        minimum=1e-3,
-        maximum=1e6,
+        help="Stamps that step back by more than this are a new start (a bag played again); by "
+        "less, the pose is out of order and refused.",
+        low=1e-3,
+        high=1e6,
+        fixed=FREE,
     )
-    start_position_m: tuple[float, float, float] = option(
+    start_position_m: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.03),
-        "Where the indenter starts under velocity input.",
-        minimum=-10.0,
-        maximum=10.0,
+        help="Where the indenter starts under velocity input.",
+        low=-10.0,
+        high=10.0,
+        fixed=FREE,
     )
-    start_quaternion_xyzw: tuple[float, float, float, float] = option(
-        (0.0, 0.0, 0.0, 1.0), "How it is turned there.", minimum=-1.0, maximum=1.0
+    start_quaternion_xyzw: tuple[float, float, float, float] = quantity(
+        (0.0, 0.0, 0.0, 1.0), help="How it is turned there.", low=-1.0, high=1.0, fixed=FREE
     )
-    base_frame: str = option(
-        "densetact_base", "Frame of poses, skin and wrench.", fixed_while_configured=True
+    base_frame: str = quantity("densetact_base", help="Frame of poses, skin and wrench.")
+    optical_frame: str = quantity(
+        "densetact_optical_frame", help="Frame of the images and the depth."
     )
-    optical_frame: str = option(
-        "densetact_optical_frame", "Frame of the images and the depth.", fixed_while_configured=True
-    )
-    indenter_frame: str = option(
+    indenter_frame: str = quantity(
         "indenter",
-        "Frame of the indenter: of velocities along its axes, of pose_source tf and odometry, and "
-        "of its external wrench.",
-        fixed_while_configured=True,
+        help="Frame of the indenter: of velocities along its axes, of pose_source tf and odometry, "
+        "and of its external wrench.",
     )
-    world_frame: str = option(
+    world_frame: str = quantity(
         "",
-        "With pose_source tf: the frame of Gazebo's world, for entity_wrench. Empty: the axes of "
-        "base_frame are the world's.",
-        fixed_while_configured=True,
+        help="With pose_source tf: the frame of Gazebo's world, for entity_wrench. Empty: the axes "
+        "of base_frame are the world's.",
     )
-    entity_indenter: str = option(
+    entity_indenter: str = quantity(
         "",
-        "Gazebo's name of the link that presses, such as peg::link; its wrench goes out on "
+        help="Gazebo's name of the link that presses, such as peg::link; its wrench goes out on "
         "entity_wrench. Empty: none.",
-        fixed_while_configured=True,
     )
-    entity_indenter_centre_m: tuple[float, float, float] = option(
+    entity_indenter_centre_m: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0),
-        "Centre of mass of that link in indenter_frame: Gazebo lets forces act there.",
-        minimum=-10.0,
-        maximum=10.0,
-        fixed_while_configured=True,
+        help="Centre of mass of that link in indenter_frame: Gazebo lets forces act there.",
+        low=-10.0,
+        high=10.0,
     )
-    entity_sensor: str = option(
-        "",
-        "The same of the link that carries the sensor. Empty: none.",
-        fixed_while_configured=True,
+    entity_sensor: str = quantity(
+        "", help="The same of the link that carries the sensor. Empty: none."
     )
-    entity_sensor_centre_m: tuple[float, float, float] = option(
-        (0.0, 0.0, 0.0),
-        "Centre of mass of that link in base_frame.",
-        minimum=-10.0,
-        maximum=10.0,
-        fixed_while_configured=True,
+    entity_sensor_centre_m: tuple[float, float, float] = quantity(
+        (0.0, 0.0, 0.0), help="Centre of mass of that link in base_frame.", low=-10.0, high=10.0
     )
-    encoding: str = option("rgb8", "Encoding of image_raw.", choices=("rgb8", "bgr8", "mono8"))
-    crop_px: tuple[int, int, int, int] = option(
+    encoding: str = quantity(
+        "rgb8", help="Encoding of image_raw.", choices=("rgb8", "bgr8", "mono8"), fixed=FREE
+    )
+    crop_px: tuple[int, int, int, int] = quantity(
         (0, 0, 0, 0),
-        "Part of the sensor's image that is published: x, y, width, height; zeros: all of it.",
-        minimum=0,
-        maximum=16384,
+        help="Part of the sensor's image that is published: x, y, width, height; zeros: all of it.",
+        low=0,
+        high=16384,
+        fixed=FREE,
     )
-    image_size_px: tuple[int, int] = option(
+    image_size_px: tuple[int, int] = quantity(
         (0, 0),
-        "Width and height that the part is published at; zeros: as it is.",
-        minimum=0,
-        maximum=16384,
+        help="Width and height that the part is published at; zeros: as it is.",
+        low=0,
+        high=16384,
+        fixed=FREE,
     )
-    idle_image: str = option(
+    idle_image: str = quantity(
         "",
-        "Image of the real sensor at rest, to be carried by the gel; a YAML file of its name "
+        help="Image of the real sensor at rest, to be carried by the gel; a YAML file of its name "
         "next to it may describe it. Empty: the sensor's own.",
         is_path=True,
-        fixed_while_configured=True,
     )
-    image_noise_levels: float = option(
+    image_noise_levels: float = quantity(
         SENSORS_OWN,
-        "Standard deviation of the camera's noise, in grey levels of 255, in place of the sensor's "
-        "own; negative: as in the sensor's file.",
-        minimum=SENSORS_OWN,
-        maximum=LARGEST_NOISE_LEVELS,
+        help="Standard deviation of the camera's noise, in grey levels of 255, in place of the "
+        "sensor's own; negative: as in the sensor's file.",
+        low=SENSORS_OWN,
+        high=LARGEST_NOISE_LEVELS,
+        fixed=FREE,
     )
-    effects: str = option(
+    effects: str = quantity(
         "",
-        "Overlay of effects to add to the sensor, a YAML file that find_gap wrote. Empty: none.",
+        help="Overlay of effects to add to the sensor, a YAML file that find_gap wrote. Empty: "
+        "none.",
         is_path=True,
-        read_only=True,
+        fixed=READ_ONLY,
     )
-    effects_folder: str = option(
+    effects_folder: str = quantity(
         "",
-        "Folder of effects of your own that the overlay may name, one a Python file: the files of "
-        "those that it names are run as programs. Empty: those shipped.",
+        help="Folder of effects of your own that the overlay may name, one a Python file: the "
+        "files of those that it names are run as programs. Empty: those shipped.",
         is_path=True,
-        read_only=True,
+        fixed=READ_ONLY,
     )
-    exposure_s: float = option(
+    exposure_s: float = quantity(
         0.0,
-        "In simulated time: how long the camera exposes; a frame's stamp is the middle of that, so "
-        "that half of it is over before anything is read out.",
-        minimum=0.0,
-        maximum=0.5,
-        fixed_while_configured=True,
+        help="In simulated time: how long the camera exposes; a frame's stamp is the middle of "
+        "that, so that half of it is over before anything is read out.",
+        low=0.0,
+        high=0.5,
     )
-    image_latency_s: tuple[float, ...] = option(
+    image_latency_s: tuple[float, ...] = quantity(
         (0.0,),
-        "In simulated time: from the end of the exposure until a frame is published: one delay, or "
-        "evenly spaced quantiles of it, the smallest first.",
-        minimum=0.0,
-        maximum=LONGEST_S,
-        fixed_while_configured=True,
+        help="In simulated time: from the end of the exposure until a frame is published: one "
+        "delay, or evenly spaced quantiles of it, the smallest first.",
+        low=0.0,
+        high=LONGEST_S,
+        any_length=True,
     )
-    latency_seed: int = option(
-        0, "Seed of image_latency_s.", minimum=0, maximum=2**31 - 1, fixed_while_configured=True
+    latency_seed: int = quantity(0, help="Seed of image_latency_s.", low=0, high=2**31 - 1)
+    fail_drop_images: bool = quantity(
+        False, help="Publish no images, as after a cut cable, to test what reads them.", fixed=FREE
     )
-    fail_drop_images: bool = option(
-        False, "Publish no images, as after a cut cable, to test what reads them."
+    compression: str = quantity(
+        "jpeg", help="Format of image_raw/compressed.", choices=("jpeg", "png"), fixed=FREE
     )
-    compression: str = option("jpeg", "Format of image_raw/compressed.", choices=("jpeg", "png"))
-    jpeg_quality: int = option(95, "Quality of JPEG.", minimum=1, maximum=100)
-    diagnostics_period_s: float = option(
-        1.0, "Time between diagnostics.", minimum=0.05, maximum=60.0, fixed_while_configured=True
+    jpeg_quality: int = quantity(95, help="Quality of JPEG.", low=1, high=100, fixed=FREE)
+    diagnostics_period_s: float = quantity(
+        1.0, help="Time between diagnostics.", low=0.05, high=60.0
     )
-    publish_tf: bool = option(
+    publish_tf: bool = quantity(
         True,
-        "Publish the camera's place in the base frame on /tf_static, where tf2_ros is installed.",
-        fixed_while_configured=True,
+        help="Publish the camera's place in the base frame on /tf_static, where tf2_ros is "
+        "installed.",
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, length in (
-            ("start_position_m", 3),
-            ("start_quaternion_xyzw", 4),
-            ("entity_indenter_centre_m", 3),
-            ("entity_sensor_centre_m", 3),
-            ("crop_px", 4),
-            ("image_size_px", 2),
-        ):
-            if len(getattr(self, name)) != length:
-                raise ValueError(f"{name} needs {length} numbers, got {len(getattr(self, name))}")
         if not re.fullmatch("cpu|cuda(:[0-9]{1,3})?", self.device):
             raise ValueError(f"device is {value_text(self.device)}, expected cpu, or cuda:0")
         self.start_pose()
