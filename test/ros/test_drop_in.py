@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 
 import msg_adapters
-from dotsim_ros.nodes.tactile_sim.calibration_file import read_calibration
+from dotsim_ros.nodes.tactile_sim.camera_calibration import read_calibration
 from studies.run import FAILED
 from studies.speed.drop_in import drop_in
 

@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from launched import Started, launched, started
 import msg_adapters
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.parameter_file import named_parameters, parameters_of
+from dotsim_ros.nodes.common.parameters import from_values, known_parameters
 from dotsim_ros.nodes.common.reasons import nearest
 from dotsim_ros.nodes.indenter_player.launched import BASE_FRAME
 from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
@@ -198,7 +198,7 @@ def test_without_a_file_the_player_presses_the_default_sensor() -> None:
     nodes = started(SENSOR, play="true", record="true")
     found = of_node(nodes, "indenter_player")
     assert (found["sensor"], found["frame_id"]) == ("densetact2", BASE_FRAME)
-    assert TactileSimParameters().base_frame == BASE_FRAME
+    assert TactileSimParameters().frames.base_frame == BASE_FRAME
     assert found["subscriber_count"] == 2
 
 
@@ -301,13 +301,13 @@ def test_nodes_can_take_what_they_are_launched_with(what: str) -> None:
     launch, given = LAUNCHES[what]
     for node, found in named(started(launch, **given)):
         kind = CLASSES[node]
-        fields = {field.name: field.default for field in dataclasses.fields(kind)}
+        fields = {name: default for name, (default, _) in known_parameters(kind).items()}
         values = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in found.items()
             if name in fields
         }
-        kind(**values)
+        from_values(kind, values)
         for field, value in values.items():
             # ROS refuses an int for a float, which the class itself would take.
             assert type(value) is type(fields[field]), field

@@ -199,7 +199,7 @@ def test_paths_of_parameters_may_begin_with_the_home(
     node.destroy_node()
     context.shutdown()
     for name, value in given.items():
-        assert getattr(settings, name) == value.replace("~", str(tmp_path))
+        assert getattr(settings.sensor, name) == value.replace("~", str(tmp_path))
     assert found_parameter_file("~/idle.png") == "~/idle.png"
     (tmp_path / "node.yaml").write_text("{}")
     assert found_parameter_file("~/node.yaml") == str(tmp_path / "node.yaml")
@@ -220,15 +220,12 @@ def test_parameters_are_read_as_launch_ros_writes_them(name: str) -> None:
     settings = read(node, TactileSimParameters)
     node.destroy_node()
     rclpy.try_shutdown(context=context)
-    assert settings.crop_px == (0, 0, 320, 240)
-    assert settings.entity_sensor_centre_m == (0.01, 0.0, -0.02)
-    assert (settings.sensor, settings.latency_seed, settings.image_noise_levels) == (
-        "flat_pad",
-        3,
-        1.5,
-    )
+    assert settings.image.crop_px == (0, 0, 320, 240)
+    assert settings.links.entity_sensor_centre_m == (0.01, 0.0, -0.02)
+    assert (settings.sensor.sensor, settings.time.latency_seed) == ("flat_pad", 3)
+    assert settings.image.image_noise_levels == 1.5
     # A text that looks like a number stays one.
-    assert settings.image_topic == "1"
+    assert settings.topics.image_topic == "1"
 
 
 @pytest.mark.fault("node parameters", "a file of parameters with an object of Python")

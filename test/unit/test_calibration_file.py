@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 import msg_adapters
-from dotsim_ros.nodes.tactile_sim.calibration_file import (
+from dotsim_ros.nodes.tactile_sim.camera_calibration import (
     path_of_url,
     read_calibration,
     write_calibration,

@@ -3,16 +3,14 @@
 
 """Parameters of the node, checked in one place, and the files that set them."""
 
-import dataclasses
-
 import pytest
 import yaml
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.files import parameter_path
-from dotsim_ros.nodes.common.parameters import known_parameters
+from dotsim_ros.nodes.common.parameters import from_values, known_parameters
 from dotsim_ros.nodes.tactile_sim.framing import Framing
-from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.parameters import FrameParameters, TactileSimParameters
 from dotsim_ros.specification import load_sensor
 
 
@@ -40,7 +38,7 @@ from dotsim_ros.specification import load_sensor
 )
 def test_bad_values_and_contradictions_are_refused_with_the_reason(changes, reason):
     with pytest.raises(ValueError, match=reason):
-        dataclasses.replace(TactileSimParameters(), **changes)
+        from_values(TactileSimParameters, changes)
 
 
 def test_every_parameter_says_what_it_is():
@@ -52,7 +50,7 @@ def test_the_shipped_file_holds_the_defaults():
     content = yaml.safe_load(parameter_path("tactile_sim.yaml").read_text())
     values = content["/**"]["ros__parameters"]
     plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-    parameters = TactileSimParameters(**plain)
+    parameters = from_values(TactileSimParameters, plain)
     assert parameters == TactileSimParameters()
     assert set(plain) == known_parameters(TactileSimParameters).keys()
 
@@ -69,22 +67,22 @@ def test_the_files_for_drivers_hold_valid_parameters(name):
         values = {**common, **section}
         qualities = values.pop("qos_overrides", {})
         plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-        parameters = TactileSimParameters(**plain)
+        parameters = from_values(TactileSimParameters, plain)
         framings.add(
             Framing.of_camera(
-                Camera.from_specification(load_sensor(parameters.sensor).camera),
-                crop_px=parameters.crop_px,
-                image_size_px=parameters.image_size_px,
-                image_aspect=parameters.image_aspect,
+                Camera.from_specification(load_sensor(parameters.sensor.sensor).camera),
+                crop_px=parameters.image.crop_px,
+                image_size_px=parameters.image.image_size_px,
+                image_aspect=parameters.image.image_aspect,
             )
         )
-        topics = {parameters.image_topic, parameters.difference_topic}
+        topics = {parameters.topics.image_topic, parameters.topics.difference_topic}
         assert {name.removesuffix("/compressed") for name in qualities} <= topics
     assert len(framings) == 1
 
 
 def test_a_prefix_is_put_before_every_frame():
-    plain = TactileSimParameters(frame_prefix="left_")
+    plain = FrameParameters(frame_prefix="left_")
     assert plain.base_frame == "densetact_base"
     left = plain.prefixed()
     assert left.base_frame == "left_densetact_base"

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of
+from dotsim_ros.nodes.common.parameters import from_values
+from dotsim_ros.nodes.tactile_sim.active_profile import ProfileKeeper, ladder_of
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
-from dotsim_ros.nodes.tactile_sim.profile_keeper import ProfileKeeper
 from dotsim_ros.nodes.tactile_sim.profiles import (
     EXACT,
     FAST,
@@ -47,7 +47,7 @@ def test_an_unknown_profile_is_refused(answered: Callable[[str], None]) -> None:
     with pytest.raises(ValueError, match=r"profile is 'quick', expected one of by_clock, exact"):
         resolve_profile("quick", is_lockstep=False)
     with pytest.raises(ValueError, match=r"profile is 'quick', expected one of") as refused:
-        TactileSimParameters(profile="quick")
+        from_values(TactileSimParameters, {"profile": "quick"})
     answered(str(refused.value))
 
 
@@ -55,10 +55,12 @@ def test_an_unknown_profile_is_refused(answered: Callable[[str], None]) -> None:
 def test_lockstep_takes_the_exact_profile_alone(answered: Callable[[str], None]) -> None:
     for name in ("realtime", "fast", "auto"):
         with pytest.raises(ValueError, match="lockstep") as refused:
-            TactileSimParameters(profile=name, clock="lockstep", input="pose")
+            from_values(
+                TactileSimParameters, {"profile": name, "clock": "lockstep", "input": "pose"}
+            )
     answered(str(refused.value))
     for name in ("by_clock", "exact"):
-        TactileSimParameters(profile=name, clock="lockstep", input="pose")
+        from_values(TactileSimParameters, {"profile": name, "clock": "lockstep", "input": "pose"})
 
 
 def test_the_profiles_bound_the_sensors_own_solver() -> None:

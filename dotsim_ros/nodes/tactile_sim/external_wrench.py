@@ -45,11 +45,12 @@ class ExternalWrenches:
         *,
         world_rotation: Callable[[], FloatArray | None],
     ) -> None:
-        self._node, self._parameters, self._world_rotation = node, parameters, world_rotation
+        self._node, self._world_rotation = node, world_rotation
+        self._frames, self._links = parameters.frames, parameters.links
         self._indenter = _publisher(node, WrenchStamped, "external_wrench/indenter")
         self._sensor = _publisher(node, WrenchStamped, "external_wrench/sensor")
         self._entity: Publisher | None = None
-        if parameters.entity_indenter or parameters.entity_sensor:
+        if self._links.entity_indenter or self._links.entity_sensor:
             self._entity = _publisher(node, entity_message(), "entity_wrench")
 
     def publish(self, wrench: Wrench, pose: Pose | None, stamp_ns: int) -> None:
@@ -60,11 +61,12 @@ class ExternalWrenches:
             pose: of the indenter in the base frame; None where there is none, and no force on it.
             stamp_ns: of the frame.
         """
-        known = self._parameters
         if self._sensor.get_subscription_count() > 0:
-            self._send(self._sensor, wrench.opposite(), stamp_ns, known.base_frame)
+            self._send(self._sensor, wrench.opposite(), stamp_ns, self._frames.base_frame)
         if pose is not None and self._indenter.get_subscription_count() > 0:
-            self._send(self._indenter, wrench.seen_from(pose), stamp_ns, known.indenter_frame)
+            self._send(
+                self._indenter, wrench.seen_from(pose), stamp_ns, self._frames.indenter_frame
+            )
         if self._entity is not None and self._entity.get_subscription_count() > 0:
             self._publish_entities(self._entity, wrench, pose, stamp_ns)
 
@@ -82,12 +84,12 @@ class ExternalWrenches:
         rotation = self._world_rotation()
         if rotation is None:
             self._node.get_logger().warning(
-                f"/tf does not place {self._parameters.base_frame!r} (base_frame) in "
-                f"{self._parameters.world_frame!r} (world_frame): nothing on entity_wrench",
+                f"/tf does not place {self._frames.base_frame!r} (base_frame) in "
+                f"{self._frames.world_frame!r} (world_frame): nothing on entity_wrench",
                 throttle_duration_sec=LOG_EVERY_S,
             )
             return
-        for link, on_link, centre in self._links(wrench, pose):
+        for link, on_link, centre in self._loads(wrench, pose):
             at_centre = on_link.seen_from(Pose(centre))
             publisher.publish(
                 msg_adapters.encode_entity_wrench(
@@ -95,13 +97,13 @@ class ExternalWrenches:
                     rotation @ at_centre.torque_nm,
                     link=link,
                     stamp_ns=stamp_ns,
-                    frame_id=self._parameters.world_frame or self._parameters.base_frame,
+                    frame_id=self._frames.world_frame or self._frames.base_frame,
                 )
             )
 
-    def _links(self, wrench: Wrench, pose: Pose | None) -> Iterator[tuple[str, Wrench, FloatArray]]:
+    def _loads(self, wrench: Wrench, pose: Pose | None) -> Iterator[tuple[str, Wrench, FloatArray]]:
         """Yield each link of Gazebo's, the wrench on it, and its centre of mass, base frame."""
-        known = self._parameters
+        known = self._links
         if known.entity_indenter and pose is not None:
             at = Pose(np.array(known.entity_indenter_centre_m))
             yield known.entity_indenter, wrench, compose(pose, at).position_m

@@ -22,7 +22,7 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
-from dotsim_ros.nodes.tactile_sim.parameters import LOCKSTEP, TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
 # As tf2_ros listens: a message holds some of the frames, so that the newest alone is not enough.
 REALTIME_QOS = QoSProfile(depth=100)
@@ -54,20 +54,20 @@ class TransformInput:
         on_pose: Callable[[Pose, int], None],
     ) -> None:
         self._guard, self._check_time, self._on_pose = guard, check_time, on_pose
-        self._pair = (parameters.base_frame, parameters.indenter_frame)
-        self._world = (parameters.world_frame, parameters.base_frame)
-        pairs = [self._pair, self._world] if parameters.world_frame else [self._pair]
+        self._pair = (parameters.frames.base_frame, parameters.frames.indenter_frame)
+        self._world = (parameters.frames.world_frame, parameters.frames.base_frame)
+        pairs = [self._pair, self._world] if parameters.frames.world_frame else [self._pair]
         self._lock = Lock()
-        self._tree = FrameTree(pairs, maximum_step_s=parameters.maximum_step_s)
+        self._tree = FrameTree(pairs, maximum_step_s=parameters.motion.maximum_step_s)
         self._last_ns: int | None = None
-        is_lockstep = parameters.clock == LOCKSTEP
-        self._subscribe(node, "/tf", LOCKSTEP_QOS if is_lockstep else REALTIME_QOS, False)
+        quality = REALTIME_QOS if parameters.time.is_realtime else LOCKSTEP_QOS
+        self._subscribe(node, "/tf", quality, False)
         self._subscribe(node, "/tf_static", STATIC_QOS, True)
 
     def configure(self, parameters: TactileSimParameters) -> None:
         """Take changed limits."""
         with self._lock:
-            self._tree.maximum_step_s = parameters.maximum_step_s
+            self._tree.maximum_step_s = parameters.motion.maximum_step_s
 
     def forget(self) -> None:
         """Pass on the pose that is known as soon as the next transform comes."""
