@@ -42,6 +42,8 @@ class Desk:
         self.callbacks[topic] = hear
         return self
 
+    open_subscription = create_subscription
+
     def create_service(self, _kind: type, name: str, answer: Any) -> None:
         self.callbacks[name] = answer
 

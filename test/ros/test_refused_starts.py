@@ -18,7 +18,7 @@ from hostile import BOMB
 
 from dotsim_ros.nodes.common.arguments import check_start
 from dotsim_ros.nodes.common.declare import declare_fields, read
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.parameter_file import found_parameter_file, parameters_of
 from dotsim_ros.nodes.common.parameters import known_parameters
 from dotsim_ros.nodes.tactile_policy.node import TactilePolicy
@@ -193,7 +193,7 @@ def test_paths_of_parameters_may_begin_with_the_home(
     arguments = [f"{name}:={value}" for name, value in (given | private).items()]
     context = rclpy.Context()
     rclpy.init(context=context, args=["--ros-args", *(x for a in arguments for x in ("-p", a))])
-    node = GuardedNode("tactile_sim", context=context)
+    node = WorkingNode("tactile_sim", context=context)
     declare_fields(node, TactileSimParameters)
     settings = read(node, TactileSimParameters)
     node.destroy_node()
@@ -215,7 +215,7 @@ def test_parameters_are_read_as_launch_ros_writes_them(name: str) -> None:
     assert parameters_of(path, "/left/tactile_sim")["crop_px"] == [0, 0, 320, 240]
     context = rclpy.Context()
     rclpy.init(context=context, args=arguments)
-    node = GuardedNode("tactile_sim", namespace="left", context=context)
+    node = WorkingNode("tactile_sim", namespace="left", context=context)
     declare_fields(node, TactileSimParameters)
     settings = read(node, TactileSimParameters)
     node.destroy_node()
@@ -250,11 +250,11 @@ def test_every_executable_answers_help_with_all_its_parameters() -> None:
 
 
 TWO_NODES = """
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_nodes
 
 def node(name, *parameters):
-    made = GuardedNode(name)
+    made = WorkingNode(name)
     for parameter in parameters:
         made.declare_parameter(parameter, 0.0)
     made.get_logger().info("ready:")

@@ -13,10 +13,10 @@ from harness import Executable
 
 SLOW_TO_START = """
 import sys, time
-from rclpy.node import Node
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
 
-class Slow(Node):
+class Slow(WorkingNode):
     def __init__(self):
         super().__init__("slow")
         print("starting", flush=True)
@@ -27,10 +27,10 @@ sys.exit(run_node(Slow))
 
 SLOW_TO_STOP = """
 import sys, time
-from rclpy.node import Node
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
 
-class Slow(Node):
+class Slow(WorkingNode):
     def __init__(self):
         super().__init__("slow")
         self.timer = self.create_timer(0.01, self.tell)
@@ -49,7 +49,8 @@ sys.exit(run_node(Slow))
 
 SLOW_TO_BEGIN = """
 import sys, threading, time
-from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.node import WorkingNode
+from dotsim_ros.nodes.common.spin import run_node
 
 class Slow(WorkingNode):
     def __init__(self):
@@ -74,11 +75,11 @@ sys.exit(run_node(Slow))
 
 ENDS_ITSELF = """
 import sys
-from rclpy.node import Node
+from dotsim_ros.nodes.common.node import WorkingNode
 from rclpy.utilities import try_shutdown
 from dotsim_ros.nodes.common.spin import run_node
 
-class Short(Node):
+class Short(WorkingNode):
     def __init__(self):
         super().__init__("short")
         self.exit_status = 3
@@ -89,10 +90,10 @@ sys.exit(run_node(Short))
 
 BREAKS = """
 import sys
-from rclpy.node import Node
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
 
-class Wrong(Node):
+class Wrong(WorkingNode):
     def __init__(self):
         super().__init__("wrong")
         self.create_timer(0.01, self.fail)

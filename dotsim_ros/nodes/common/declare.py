@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 
 from dotsim_ros.io.files import expanded
 from dotsim_ros.io.quantity import Quantity
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.parameters import (
     CONFIGURED,
     READ_ONLY,
@@ -32,7 +32,7 @@ from dotsim_ros.nodes.common.reasons import reason_of
 Parameters = TypeVar("Parameters")
 
 
-def declare(node: GuardedNode, kind: type[Parameters]) -> Parameters:
+def declare(node: WorkingNode, kind: type[Parameters]) -> Parameters:
     """Declare every field of a parameter class and return what the user set.
 
     Raises:
@@ -43,7 +43,7 @@ def declare(node: GuardedNode, kind: type[Parameters]) -> Parameters:
     return read(node, kind)
 
 
-def declare_fields(node: GuardedNode, kind: type[Any]) -> None:
+def declare_fields(node: WorkingNode, kind: type[Any]) -> None:
     """Declare every field of a parameter class.
 
     Raises:
@@ -54,7 +54,7 @@ def declare_fields(node: GuardedNode, kind: type[Any]) -> None:
         node.declare_parameter(name, value, _descriptor(name, known, default))
 
 
-def read(node: GuardedNode, kind: type[Parameters]) -> Parameters:
+def read(node: WorkingNode, kind: type[Parameters]) -> Parameters:
     """Return what the parameters declared of a class are now.
 
     Raises:
@@ -73,7 +73,7 @@ def read(node: GuardedNode, kind: type[Parameters]) -> Parameters:
 
 
 def follow(
-    node: GuardedNode,
+    node: WorkingNode,
     current: Callable[[], Parameters | None],
     apply: Callable[[Parameters], None],
 ) -> None:

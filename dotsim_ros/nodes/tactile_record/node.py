@@ -25,7 +25,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.logging import get_logger
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import try_shutdown
 
 from dotsim_ros.data.bag import PARTIAL, unfinished_path
@@ -34,9 +33,10 @@ from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.quantity import check_fields, quantity
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.health import Report, statuses_of
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.parameters import READ_ONLY
-from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.tactile_record.recording import (
     FLUSH_PERIOD_S,
     BagRecording,
@@ -188,7 +188,7 @@ class TactileRecord(WorkingNode):
         duration_s = max(self._settings.duration_s, 1e-3)
         end = FramePace(rate_hz=1.0 / duration_s, start_s=now_s + duration_s)
         for topic, kind in self._types.items():
-            self.create_subscription(
+            self.open_subscription(
                 message_class(kind),
                 topic,
                 partial(self._on_message, recording, topic),
@@ -197,7 +197,6 @@ class TactileRecord(WorkingNode):
                 event_callbacks=SubscriptionEventCallbacks(
                     message_lost=partial(self._on_lost, topic)
                 ),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
         report = self.report_health(
             REPORT_PERIOD_S,

@@ -24,7 +24,7 @@ from sensor_msgs.srv import SetCameraInfo
 import msg_adapters
 from dotsim_ros.io.documents import is_number, read_yaml, value_text
 from dotsim_ros.io.files import write_text
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from msg_adapters import CameraCalibration
 
 EXPECTED = "expected file:///PATH.yaml or package://PACKAGE/PATH.yaml"
@@ -134,7 +134,7 @@ class CalibrationStore:
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         url: str,
         *,
         camera_name: str,

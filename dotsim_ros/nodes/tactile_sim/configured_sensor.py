@@ -31,8 +31,8 @@ from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.nodes.common.clock_watch import ClockJump
 from dotsim_ros.nodes.common.duplicate_publishers import duplicate_publishers
 from dotsim_ros.nodes.common.ingest import FaultLog
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.spin import WorkingNode
 from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of, make_active_profile

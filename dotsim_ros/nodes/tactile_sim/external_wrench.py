@@ -7,18 +7,16 @@ opposite on the one that carries the sensor."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose, Wrench, compose
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
 WRENCH_QOS = QoSProfile(depth=5)
@@ -40,18 +38,18 @@ class ExternalWrenches:
 
     def __init__(
         self,
-        node: Node,
+        node: WorkingNode,
         parameters: TactileSimParameters,
         *,
         world_rotation: Callable[[], FloatArray | None],
     ) -> None:
         self._node, self._world_rotation = node, world_rotation
         self._frames, self._links = parameters.frames, parameters.links
-        self._indenter = _publisher(node, WrenchStamped, "external_wrench/indenter")
-        self._sensor = _publisher(node, WrenchStamped, "external_wrench/sensor")
+        self._indenter = node.open_publisher(WrenchStamped, "external_wrench/indenter", WRENCH_QOS)
+        self._sensor = node.open_publisher(WrenchStamped, "external_wrench/sensor", WRENCH_QOS)
         self._entity: Publisher | None = None
         if self._links.entity_indenter or self._links.entity_sensor:
-            self._entity = _publisher(node, entity_message(), "entity_wrench")
+            self._entity = node.open_publisher(entity_message(), "entity_wrench", WRENCH_QOS)
 
     def publish(self, wrench: Wrench, pose: Pose | None, stamp_ns: int) -> None:
         """Publish a frame's wrench.
@@ -109,11 +107,6 @@ class ExternalWrenches:
             yield known.entity_indenter, wrench, compose(pose, at).position_m
         if known.entity_sensor:
             yield known.entity_sensor, wrench.opposite(), np.array(known.entity_sensor_centre_m)
-
-
-def _publisher(node: Node, kind: type[Any], topic: str) -> Publisher:
-    overriding = QoSOverridingOptions.with_default_policies()
-    return node.create_publisher(kind, topic, WRENCH_QOS, qos_overriding_options=overriding)
 
 
 def entity_message() -> type:

@@ -10,11 +10,10 @@ from functools import partial
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.force_pairing import ForcePairing, checked_force
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
@@ -40,7 +39,7 @@ class ForceInput:
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         parameters: TactileSimParameters,
         quality: QoSProfile,
         *,
@@ -53,12 +52,8 @@ class ForceInput:
         self._is_realtime = parameters.time.is_realtime
         self._pairing = ForcePairing(maximum_step_s=parameters.motion.maximum_step_s)
         self._heard_s: float | None = None
-        node.create_subscription(
-            WrenchStamped,
-            TOPIC,
-            lambda message: guard(lambda: self._hear(message)),
-            quality,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        node.open_subscription(
+            WrenchStamped, TOPIC, lambda message: guard(lambda: self._hear(message)), quality
         )
 
     def configure(self, parameters: TactileSimParameters) -> None:

@@ -15,7 +15,6 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose
@@ -23,7 +22,6 @@ from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.printable import cut
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import (
     Fault,
     FaultLog,
@@ -31,6 +29,7 @@ from dotsim_ros.nodes.common.ingest import (
     RefusedInputError,
     TimeRestart,
 )
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.reasons import LONGEST_REASON
 from dotsim_ros.nodes.tactile_sim.force_input import ForceInput
 from dotsim_ros.nodes.tactile_sim.motion import (
@@ -90,7 +89,7 @@ class MotionInput:
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         parameters: TactileSimParameters,
         *,
         faults: FaultLog,
@@ -243,12 +242,8 @@ class MotionInput:
     def _subscribe(
         self, kind: type, topic: str, callback: Callable[[msg_adapters.Message], None]
     ) -> None:
-        self._node.create_subscription(
-            kind,
-            topic,
-            lambda message: self._hear(callback, message),
-            self._quality(),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        self._node.open_subscription(
+            kind, topic, lambda message: self._hear(callback, message), self._quality()
         )
 
     def _quality(self) -> QoSProfile:

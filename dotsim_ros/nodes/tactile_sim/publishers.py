@@ -5,20 +5,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import cv2
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from numpy.typing import NDArray
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
 from dotsim_ros.io.arrays import FloatArray, ImageArray
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.framing import Framing, encoded_pixels
 from dotsim_ros.nodes.tactile_sim.parameters import AXIAL, TactileSimParameters
 from dotsim_ros.optics.depth import DepthConversion, radius_bytes
@@ -54,13 +54,14 @@ class FramePublishers:
 
     def __init__(
         self,
-        node: Node,
+        node: WorkingNode,
         sensor: TactileSensor,
         parameters: TactileSimParameters,
         *,
         noise: NoiseSpecification,
     ) -> None:
         self._sensor, self._noise = sensor, noise
+        publisher = partial(node.open_publisher, quality=FRAME_QOS)
         self._reference: ImageArray | None = None
         self._calibration: msg_adapters.CameraCalibration | None = None
         self._depth_of: DepthConversion | None = None
@@ -68,28 +69,27 @@ class FramePublishers:
         # A network, and effects that were found, know images of the sensor's own size.
         self._renders_part = not (sensor.has_network or parameters.sensor.effects)
         self.configure(parameters)
-        self._image = self._publisher(node, Image, parameters.topics.image_topic)
+        self._image = publisher(Image, parameters.topics.image_topic)
         # Of the topic as it is after a remap, so that what belongs to an image goes along with it.
         image_topic = self._image.topic_name
-        self._compressed = self._publisher(node, CompressedImage, f"{image_topic}/compressed")
-        self._camera_info = self._publisher(
-            node,
+        self._compressed = publisher(CompressedImage, f"{image_topic}/compressed")
+        self._camera_info = publisher(
             CameraInfo,
             parameters.topics.camera_info_topic or _beside(node, image_topic, "camera_info"),
         )
-        self._difference = self._publisher(node, Image, parameters.topics.difference_topic)
-        self._difference_compressed = self._publisher(
-            node, CompressedImage, f"{self._difference.topic_name}/compressed"
+        self._difference = publisher(Image, parameters.topics.difference_topic)
+        self._difference_compressed = publisher(
+            CompressedImage, f"{self._difference.topic_name}/compressed"
         )
-        self._depth = self._publisher(node, Image, "depth/image")
-        self._radius = self._publisher(node, Image, parameters.topics.radius_topic)
-        self._radius_shown = self._publisher(node, Image, parameters.topics.radius_shown_topic)
-        self._points = self._publisher(node, PointCloud2, "points")
+        self._depth = publisher(Image, "depth/image")
+        self._radius = publisher(Image, parameters.topics.radius_topic)
+        self._radius_shown = publisher(Image, parameters.topics.radius_shown_topic)
+        self._points = publisher(PointCloud2, "points")
         self._markers = None
         if sensor.markers is not None:
-            self._markers = self._publisher(node, PointCloud2, "markers")
-        self._wrench = self._publisher(node, WrenchStamped, parameters.topics.wrench_topic)
-        self._state = self._publisher(node, PoseStamped, "indenter/state")
+            self._markers = publisher(PointCloud2, "markers")
+        self._wrench = publisher(WrenchStamped, parameters.topics.wrench_topic)
+        self._state = publisher(PoseStamped, "indenter/state")
         self._idle = node.create_publisher(Image, "~/idle_image", LATCHED_QOS)
 
     @property
@@ -305,13 +305,8 @@ class FramePublishers:
             return with_noise(rgb, self._noise.deviation_levels, seed, channel_count=channels)
         return with_noise(rgb, levels, stamp_ns, channel_count=channels)
 
-    @staticmethod
-    def _publisher(node: Node, kind: type[Any], topic: str) -> Publisher:
-        overriding = QoSOverridingOptions.with_default_policies()
-        return node.create_publisher(kind, topic, FRAME_QOS, qos_overriding_options=overriding)
 
-
-def _beside(node: Node, topic: str, name: str) -> str:
+def _beside(node: WorkingNode, topic: str, name: str) -> str:
     """Return the topic of a name next to another, unless the user has renamed it on its own."""
     given = node.resolve_topic_name(name)
     is_renamed = given != node.resolve_topic_name(name, only_expand=True)

@@ -14,14 +14,13 @@ from functools import partial
 from threading import Lock
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.geometry.frame_tree import FrameTree, OutOfOrderError
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
 # As tf2_ros listens: a message holds some of the frames, so that the newest alone is not enough.
@@ -46,7 +45,7 @@ class TransformInput:
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         parameters: TactileSimParameters,
         *,
         guard: Callable[[Callable[[], object]], None],
@@ -97,13 +96,12 @@ class TransformInput:
             found = self._tree.locate(*self._world)
         return None if found is None else found[0].rotation()
 
-    def _subscribe(self, node: GuardedNode, topic: str, quality: QoSProfile, static: bool) -> None:
-        node.create_subscription(
+    def _subscribe(self, node: WorkingNode, topic: str, quality: QoSProfile, static: bool) -> None:
+        node.open_subscription(
             transform_message(),
             topic,
             lambda message: self._hear(message, is_static=static),
             quality,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
     def _hear(self, message: msg_adapters.Message, *, is_static: bool) -> None:
