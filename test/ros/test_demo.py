@@ -10,7 +10,6 @@ import sys
 import cv2
 import imageio.v2 as imageio
 import numpy as np
-import pytest
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.data.trajectory import RECORDED_TOPICS, Topics, read_trajectory
@@ -52,10 +51,8 @@ def test_demonstration_leaves_a_bag_a_video_and_a_sheet(tmp_path):
     assert cv2.imread(str(tmp_path / "presses.png")) is not None
 
 
-@pytest.mark.parametrize(
-    ("command", "bag"), [("demo --presses 1", "presses"), ("demo-loop --one-process", "loop")]
-)
-def test_what_an_interrupted_demonstration_leaves_is_its_own(tmp_path, command, bag):
+def test_what_an_interrupted_demonstration_leaves_is_its_own(tmp_path):
+    command, bag = "demo --presses 1", "presses"
     started = subprocess.Popen(
         [sys.executable, "-m", "dotsim_ros.cli.main", *command.split(), "--out", str(tmp_path)],
         stdout=subprocess.DEVNULL,
