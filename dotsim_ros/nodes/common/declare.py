@@ -83,11 +83,10 @@ def follow(
     applied.
 
     Args:
-        node: whose parameters were declared with `declare` or `declare_fields`.
+        node: whose parameters are declared.
         current: returns the parameters in force; None while there are none, since the node is not
             configured: what is set then is checked when it is.
         apply: takes the changed parameters, all or none; refuses them by ValueError or OSError.
-            What else it raises is refused as well, and logged as a fault of ours.
     """
 
     def change(changes: Sequence[Parameter]) -> None:

@@ -29,7 +29,8 @@ from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.ingest import TimeRestart
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
-from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, program_of
+from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
+from dotsim_ros.nodes.indenter_player.program import program_of
 
 POSE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 POLL_S = 0.02

@@ -1,38 +1,16 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What `indenter_player` plays, as parameters, and the motion that they ask for. Needs no ROS."""
+"""The parameters of `indenter_player`. Needs no ROS."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
-from dotsim_ros.data.motion import Motion, joined
-from dotsim_ros.data.scripted import (
-    Site,
-    in_sequence,
-    press_hold_release,
-    slide,
-    travel,
-    twist,
-)
-from dotsim_ros.data.shipped_presses import ShippedPress, read_presses
-from dotsim_ros.data.trajectory import BASE_FRAME, Topics, read_trajectory
-from dotsim_ros.io.documents import value_text
-from dotsim_ros.io.files import parameter_path
+from dotsim_ros.data.trajectory import BASE_FRAME
 from dotsim_ros.io.quantity import check_fields, quantity
 from dotsim_ros.nodes.common.parameters import READ_ONLY
-from dotsim_ros.nodes.indenter_player.forces import PlayedForces
-from dotsim_ros.nodes.indenter_player.pad import pad_site, pad_slide
-from dotsim_ros.specification import GelSpecification, load_sensor
-
-SHIPPED_PRESSES = "presses/densetact_presses.npz"
-DEFAULT_RATE_HZ = 100.0
-DOME = "dome"
 
 
 @dataclass(frozen=True)
@@ -159,146 +137,3 @@ class PlayerParameters:
                 f"bag_force_topic is {self.bag_force_topic!r}, but source is {self.source!r}, "
                 "which has no recorded forces: set source to bag, or leave bag_force_topic empty"
             )
-
-
-@dataclass(frozen=True)
-class Program:
-    """What is played: a motion, the frame of its poses, and at which times.
-
-    Attributes:
-        motion: the poses of one pass, and of the way back to the start where it is looped.
-        frame_id: of the published poses.
-        rate_hz: steady rate, or 0 for the motion's own times.
-        forces: that go out with the poses; None for none.
-    """
-
-    motion: Motion
-    frame_id: str
-    rate_hz: float
-    forces: PlayedForces | None = None
-
-
-def _radius_m(parameters: PlayerParameters, gel: GelSpecification) -> float:
-    return parameters.outer_radius_m or gel.outer_radius_m
-
-
-def _met(parameters: PlayerParameters) -> tuple[GelSpecification, Site]:
-    """Return the gel that a scripted motion meets, and where."""
-    gel = load_sensor(parameters.sensor).gel
-    site = Site(
-        outer_radius_m=_radius_m(parameters, gel),
-        tilt_rad=float(np.deg2rad(parameters.tilt_deg)),
-        azimuth_rad=float(np.deg2rad(parameters.azimuth_deg)),
-        spin_rad=float(np.deg2rad(parameters.spin_deg)),
-        clearance_m=parameters.clearance_m,
-    )
-    if gel.shape != DOME:
-        site = pad_site(gel, site, depth_m=parameters.depth_m)
-    return gel, site
-
-
-def _press(parameters: PlayerParameters) -> Motion:
-    _, site = _met(parameters)
-    return press_hold_release(
-        site,
-        depth_m=parameters.depth_m,
-        hold_s=parameters.hold_s,
-        speed_m_s=parameters.speed_m_s,
-    )
-
-
-def _slide(parameters: PlayerParameters) -> Motion:
-    gel, site = _met(parameters)
-    move = slide if gel.shape == DOME else partial(pad_slide, gel)
-    return move(
-        site,
-        depth_m=parameters.depth_m,
-        distance_m=parameters.slide_distance_m,
-        heading_rad=float(np.deg2rad(parameters.slide_heading_deg)),
-        speed_m_s=parameters.speed_m_s,
-        slide_speed_m_s=parameters.slide_speed_m_s,
-    )
-
-
-def _twist(parameters: PlayerParameters) -> Motion:
-    _, site = _met(parameters)
-    return twist(
-        site,
-        depth_m=parameters.depth_m,
-        angle_rad=float(np.deg2rad(parameters.twist_angle_deg)),
-        speed_m_s=parameters.speed_m_s,
-        rotation_rate_rad_s=float(np.deg2rad(parameters.twist_rate_deg_s)),
-    )
-
-
-def _chosen(presses: tuple[ShippedPress, ...], numbers: tuple[int, ...]) -> list[ShippedPress]:
-    if numbers == (-1,):
-        return list(presses)
-    wrong = [number for number in numbers if not 0 <= number < len(presses)]
-    if wrong or not numbers:
-        raise ValueError(
-            f"press_numbers holds {list(numbers)}; the recording has presses 0 to "
-            f"{len(presses) - 1}"
-        )
-    return [presses[number] for number in numbers]
-
-
-def _presses(parameters: PlayerParameters) -> Motion:
-    gel = load_sensor(parameters.sensor).gel
-    if gel.shape != DOME:
-        raise ValueError(
-            f"source is presses, which were recorded on a dome, but the sensor "
-            f"{value_text(parameters.sensor)} has a pad: set source to press, slide or twist"
-        )
-    path = parameters.path or parameter_path(SHIPPED_PRESSES)
-    motions = [
-        press.motion(
-            outer_radius_m=_radius_m(parameters, gel),
-            indenter_radius_m=parameters.indenter_radius_m,
-            speed_m_s=parameters.speed_m_s,
-            hold_s=parameters.hold_s,
-            depth_limit_m=parameters.depth_limit_m or np.inf,
-            clearance_m=parameters.clearance_m,
-        )
-        for press in _chosen(read_presses(path), parameters.press_numbers)
-    ]
-    return in_sequence(motions)
-
-
-SCRIPTS = {"press": _press, "slide": _slide, "twist": _twist, "presses": _presses}
-
-
-def _bag(parameters: PlayerParameters) -> Program:
-    force_topic = parameters.bag_force_topic
-    topics = Topics(pose=parameters.bag_topic, wrench=force_topic)
-    channels = ["pose", "wrench"] if force_topic else ["pose"]
-    recording = read_trajectory(parameters.path, topics=topics, channels=channels)
-    channel, wrench = recording.pose, recording.wrench
-    if channel is None or (force_topic and wrench is None):
-        absent = parameters.bag_topic if channel is None else force_topic
-        raise ValueError(f"{parameters.path} holds no message on {absent}: name the bag's topic")
-    times_s = (channel.stamp_ns - channel.stamp_ns[0]) * 1e-9
-    return Program(
-        Motion(times_s, tuple(channel.poses())),
-        channel.frame_id,
-        parameters.rate_hz,
-        None if wrench is None else PlayedForces.recorded(wrench, int(channel.stamp_ns[0])),
-    )
-
-
-def program_of(parameters: PlayerParameters) -> Program:
-    """Return what the parameters ask to play.
-
-    Raises:
-        FileNotFoundError: no file or bag at `path`, or no such sensor.
-        ValueError: it cannot be read, or the motion is impossible.
-    """
-    if parameters.source == "bag":
-        program = _bag(parameters)
-    else:
-        motion = SCRIPTS[parameters.source](parameters)
-        program = Program(motion, parameters.frame_id, parameters.rate_hz or DEFAULT_RATE_HZ)
-    if parameters.loop:
-        back = travel(program.motion.poses[-1], program.motion.poses[0])
-        program = replace(program, motion=joined(program.motion, back))
-    return program

@@ -231,12 +231,11 @@ class TactileRecord(WorkingNode):
         # Not the node's own logger, which would try to publish what it says after the shutdown.
         logger = get_logger("dotsim_ros.tactile_record")
         count = sum(summary.written.values())
-        odd = sum(summary.stamp_is_no_time.values())
-        if odd:
+        if summary.stamp_is_no_time:
             logger.warning(
-                f"{odd} messages have a stamp that is no time "
-                f"({_by_topic(summary.stamp_is_no_time)}); they are in the bag, where the message "
-                "before them lies: mend what publishes them, calibrate refuses such messages"
+                f"{_odd(summary)} ({_by_topic(summary.stamp_is_no_time)}); they are in the bag, "
+                "where the message before them lies: mend what publishes them, calibrate refuses "
+                "such messages"
             )
         if summary.went_back:
             logger.warning(f"{_mixed(summary)}: record each time by itself")
@@ -266,26 +265,21 @@ class TactileRecord(WorkingNode):
     def _health(self, recording: BagRecording) -> Report:
         summary = recording.summary()
         level, message = Level.OK, "recording"
-        odd = sum(summary.stamp_is_no_time.values())
+        missing = summary.missing + self._lost
         if summary.error is not None:
             level, message = Level.ERROR, _ending(summary)
-        elif summary.missing or self._lost:
-            missing = summary.missing + self._lost
+        elif missing:
             level, message = Level.WARN, f"{missing} messages are missing from the bag"
         elif summary.went_back:
             level, message = Level.WARN, _mixed(summary)
-        elif odd:
-            level, message = Level.WARN, f"{odd} messages have a stamp that is no time"
-        values = {
+        elif summary.stamp_is_no_time:
+            level, message = Level.WARN, _odd(summary)
+        counted = ("written", "dropped", "lost", "refused", "stamp_is_no_time", "went_back")
+        values = {name: str(sum(getattr(summary, name).values())) for name in counted}
+        values |= {
             "folder": str(summary.folder),
-            "written": str(sum(summary.written.values())),
             "waiting": str(summary.waiting),
-            "dropped": str(sum(summary.dropped.values())),
-            "lost": str(sum(summary.lost.values())),
             "lost_on_the_way": str(self._lost),
-            "refused": str(sum(summary.refused.values())),
-            "stamp_is_no_time": str(odd),
-            "went_back": str(sum(summary.went_back.values())),
         }
         return level, message, values
 
@@ -340,6 +334,10 @@ class TactileRecord(WorkingNode):
 
 def _by_topic(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{topic} {count}" for topic, count in counts.items())
+
+
+def _odd(summary: RecordingSummary) -> str:
+    return f"{sum(summary.stamp_is_no_time.values())} messages have a stamp that is no time"
 
 
 def _mixed(summary: RecordingSummary) -> str:

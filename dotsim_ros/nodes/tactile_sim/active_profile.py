@@ -60,10 +60,7 @@ def ladder_of(name: str, sensor: SensorSpecification, *, grid_spacing_m: float =
     """Return the profiles that a node may run with, from the finest to the coarsest: one, or for
     `auto` all that differ. A gel that remembers keeps one, since no other could go on with it.
 
-    Args:
-        name: as `resolve_profile` returns it.
-        sensor: what is simulated.
-        grid_spacing_m: in place of the sensor's own, in every profile; 0: none.
+    A grid spacing other than 0 takes the place of the sensor's own in every profile.
     """
     if name == AUTO and sensor.remembers:
         name = REALTIME.name
@@ -289,16 +286,8 @@ def make_active_profile(
     period_s: float,
     report: Callable[[str], None],
 ) -> ActiveProfile:
-    """Return the profile of a session, whose gels are made and timed where there are several.
-
-    Args:
-        ladder: the profiles, from the finest to the coarsest; the session runs with the first.
-        sensor: of the session, warmed up.
-        session: of the sensor.
-        asked: the profile that the user named.
-        period_s: time between two frames.
-        report: writes a line to the log.
-    """
+    """Return the profile of a session of a sensor that is warmed up, given the one that the user
+    asked for; where there are several, their gels are made and timed. Else as `ActiveProfile`."""
     if len(ladder) == 1:
         why = _why_one(asked, sensor)
         if asked == AUTO:

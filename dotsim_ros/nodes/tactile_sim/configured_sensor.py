@@ -29,15 +29,13 @@ from dotsim_ros.effects.live import specification_with_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.nodes.common.clock_watch import ClockJump
-from dotsim_ros.nodes.common.duplicate_publishers import duplicate_publishers
 from dotsim_ros.nodes.common.ingest import FaultLog
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of, make_active_profile
 from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
-from dotsim_ros.nodes.tactile_sim.external_wrench import ExternalWrenches, entity_message
+from dotsim_ros.nodes.tactile_sim.external_wrench import ENTITY_WRENCH, ExternalWrenches
 from dotsim_ros.nodes.tactile_sim.force_drive import ForceDrive
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, lag_text, statuses
 from dotsim_ros.nodes.tactile_sim.motion import (
@@ -48,12 +46,12 @@ from dotsim_ros.nodes.tactile_sim.motion import (
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import BY_FORCE, TF, TactileSimParameters
 from dotsim_ros.nodes.tactile_sim.profiles import resolve_profile
-from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
+from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers, publish_static_frame
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
-from dotsim_ros.nodes.tactile_sim.transform_input import transform_message
+from dotsim_ros.nodes.tactile_sim.transform_input import TRANSFORMS
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import NoiseSpecification, SensorSpecification, load_sensor
-from msg_adapters import Level, Status
+from msg_adapters import Level, Status, message_class
 
 FRAMES_BROKEN = "the loop of frames failed"
 MISSING_INPUT_LOG_S = 5.0
@@ -331,7 +329,7 @@ class ConfiguredSensor:
                 maximum_lag_m=maximum_lag_m,
                 profile=self._profile.values(),
                 clock_silence=self._node.clock_silence(),
-                duplicate_publishers=duplicate_publishers(self._node, self._outputs.topics),
+                rivals=self._outputs.rivals(),
             ),
             counter=self._counter,
             faults=self._faults,
@@ -419,7 +417,21 @@ def _answered(response: Any, message: str, *, success: bool = True) -> Any:
 def _check_messages(settings: TactileSimParameters) -> None:
     """Raise ValueError where messages are not installed, before the sensor is made, which takes
     long."""
+    needed = {}
     if settings.motion.pose_source == TF:
-        transform_message()
+        needed[TRANSFORMS] = (
+            "pose_source is tf",
+            "ros-jazzy-tf2-msgs, not with the wheels of PyPI: there set pose_source to topic or "
+            "odometry",
+        )
     if settings.links.entity_indenter or settings.links.entity_sensor:
-        entity_message()
+        needed[ENTITY_WRENCH] = (
+            "entity_indenter or entity_sensor is set",
+            "ros-jazzy-ros-gz-interfaces: without it read external_wrench/indenter and "
+            "external_wrench/sensor",
+        )
+    for name, (why, where) in needed.items():
+        try:
+            message_class(name)
+        except (ImportError, ValueError) as error:
+            raise ValueError(f"{why}, but {error}; it comes with apt's {where}") from None

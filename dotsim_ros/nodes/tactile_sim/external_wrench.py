@@ -20,6 +20,7 @@ from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
 WRENCH_QOS = QoSProfile(depth=5)
+ENTITY_WRENCH = "ros_gz_interfaces/msg/EntityWrench"
 LOG_EVERY_S = 5.0
 
 
@@ -31,9 +32,6 @@ class ExternalWrenches:
         parameters: names of frames and of Gazebo's links.
         world_rotation: returns the (3, 3) rotation from the base to Gazebo's world, or None where
             it is not known yet.
-
-    Raises:
-        ValueError: a link of Gazebo's is named, and ros_gz_interfaces is not installed.
     """
 
     def __init__(
@@ -49,7 +47,9 @@ class ExternalWrenches:
         self._sensor = node.open_publisher(WrenchStamped, "external_wrench/sensor", WRENCH_QOS)
         self._entity: Publisher | None = None
         if self._links.entity_indenter or self._links.entity_sensor:
-            self._entity = node.open_publisher(entity_message(), "entity_wrench", WRENCH_QOS)
+            self._entity = node.open_publisher(
+                msg_adapters.message_class(ENTITY_WRENCH), "entity_wrench", WRENCH_QOS
+            )
 
     def publish(self, wrench: Wrench, pose: Pose | None, stamp_ns: int) -> None:
         """Publish a frame's wrench.
@@ -107,20 +107,3 @@ class ExternalWrenches:
             yield known.entity_indenter, wrench, compose(pose, at).position_m
         if known.entity_sensor:
             yield known.entity_sensor, wrench.opposite(), np.array(known.entity_sensor_centre_m)
-
-
-def entity_message() -> type:
-    """Return the class ros_gz_interfaces/msg/EntityWrench.
-
-    Raises:
-        ValueError: ros_gz_interfaces is not installed.
-    """
-    try:
-        found: type = msg_adapters.message_class("ros_gz_interfaces/msg/EntityWrench")
-    except (ImportError, ValueError) as error:
-        raise ValueError(
-            f"entity_indenter or entity_sensor is set, but {error}; it comes with apt's "
-            "ros-jazzy-ros-gz-interfaces: without it read external_wrench/indenter and "
-            "external_wrench/sensor"
-        ) from None
-    return found

@@ -53,14 +53,14 @@ class SensorParameters:
         BY_CLOCK,
         help="How accurately the gel is solved: exact (the sensor's own solver, any motion in a "
         "frame), realtime, fast (a coarser grid), or auto (the finest that the machine affords); "
-        "by_clock: realtime, and in lockstep, which takes no other, exact. docs/run.md tells the "
+        "by_clock: realtime, and in lockstep, which takes no other, exact. docs/run.md lists the "
         "errors.",
         choices=NAMES,
     )
     grid_spacing_m: float = quantity(
         0.0,
         help="Spacing of the gel's grid in place of the sensor's own, in every profile, for a rate "
-        "that this machine does not reach otherwise; 0: as in the sensor's file. docs/gel.md tells "
+        "that this machine does not reach otherwise; 0: as in the sensor's file. docs/gel.md says "
         "what it costs.",
         low=0.0,
         high=LARGEST_GRID_M,

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
 from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray, ImageArray
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.framing import Framing, encoded_pixels
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
 # Reliable serves best-effort readers too; 5 is what viewers ask for.
 FRAME_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+ADVICE = (
+    "give each a namespace (-r __ns:=/left, namespace:=left of a launch file), or topics of its own"
+)
 
 
 class _Header(TypedDict):
@@ -60,7 +65,7 @@ class FramePublishers:
         *,
         noise: NoiseSpecification,
     ) -> None:
-        self._sensor, self._noise = sensor, noise
+        self._node, self._sensor, self._noise = node, sensor, noise
         publisher = partial(node.open_publisher, quality=FRAME_QOS)
         self._reference: ImageArray | None = None
         self._calibration: msg_adapters.CameraCalibration | None = None
@@ -92,10 +97,16 @@ class FramePublishers:
         self._state = publisher(PoseStamped, "indenter/state")
         self._idle = node.create_publisher(Image, "~/idle_image", LATCHED_QOS)
 
-    @property
-    def topics(self) -> tuple[str, str]:
-        """Names, as they are, of the topics by which readers know the sensor."""
-        return self._image.topic_name, self._wrench.topic_name
+    def rivals(self) -> str:
+        """Return who else publishes the images or the wrench, in words; empty where nobody does:
+        two sensors may have been started under one name."""
+        for topic in (self._image.topic_name, self._wrench.topic_name):
+            if self._node.count_publishers(topic) < 2:
+                continue
+            others = self._node.get_publishers_info_by_topic(topic)
+            names = sorted(f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in others)
+            return f"{topic} has {len(names)} publishers ({', '.join(names)}): {ADVICE}"
+        return ""
 
     def framing_of(self, parameters: TactileSimParameters) -> Framing:
         """Return what of the sensor's image parameters ask for.
@@ -332,3 +343,26 @@ def difference_image(image: ImageArray, reference: ImageArray, gain: float) -> I
     )
     amplified = cv2.convertScaleAbs(cv2.absdiff(grey, before), alpha=gain)
     return np.asarray(cv2.cvtColor(amplified, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+
+
+def publish_static_frame(node: WorkingNode, pose: Pose, *, parent: str, child: str) -> Any | None:
+    """Publish the pose of a child frame in its parent, once, kept for late readers.
+
+    Returns:
+        The broadcaster, to be kept alive; None where tf2_ros is not installed.
+    """
+    try:
+        from tf2_ros import StaticTransformBroadcaster
+    except ImportError:
+        node.get_logger().info("tf2_ros is not installed: no transform on /tf_static")
+        return None
+    message = TransformStamped()
+    message.header.stamp = node.get_clock().now().to_msg()
+    message.header.frame_id, message.child_frame_id = parent, child
+    x, y, z = pose.position_m.tolist()
+    translation, rotation = message.transform.translation, message.transform.rotation
+    translation.x, translation.y, translation.z = x, y, z
+    rotation.x, rotation.y, rotation.z, rotation.w = pose.quaternion_xyzw.tolist()
+    broadcaster = StaticTransformBroadcaster(node)
+    broadcaster.sendTransform(message)
+    return broadcaster

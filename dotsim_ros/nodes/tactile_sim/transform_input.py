@@ -23,6 +23,7 @@ from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 # As tf2_ros listens: a message holds some of the frames, so that the newest alone is not enough.
 REALTIME_QOS = QoSProfile(depth=100)
 LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL)
@@ -38,9 +39,6 @@ class TransformInput:
         guard: does something with an input, and counts and logs it where it is refused.
         check_time: refuses a stamp (ns) of the time before the clock went back.
         on_pose: takes the pose of the indenter in the base frame at each new time (ns).
-
-    Raises:
-        ValueError: tf2_msgs is not installed.
     """
 
     def __init__(
@@ -98,7 +96,7 @@ class TransformInput:
 
     def _subscribe(self, node: WorkingNode, topic: str, quality: QoSProfile, static: bool) -> None:
         node.open_subscription(
-            transform_message(),
+            msg_adapters.message_class(TRANSFORMS),
             topic,
             lambda message: self._hear(message, is_static=static),
             quality,
@@ -133,19 +131,3 @@ class TransformInput:
         if found is not None and found[1] != self._last_ns:
             self._last_ns = found[1]
             self._on_pose(*found)
-
-
-def transform_message() -> type:
-    """Return the class tf2_msgs/msg/TFMessage.
-
-    Raises:
-        ValueError: tf2_msgs is not installed.
-    """
-    try:
-        found: type = msg_adapters.message_class("tf2_msgs/msg/TFMessage")
-    except ImportError as error:
-        raise ValueError(
-            f"pose_source is tf, but {error}; it comes with apt's ros-jazzy-tf2-msgs, not with the "
-            "wheels of PyPI: there set pose_source to topic or odometry"
-        ) from None
-    return found
