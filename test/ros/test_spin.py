@@ -112,17 +112,16 @@ def started(code):
     return executable
 
 
-@pytest.mark.parametrize("gap_s", [0.0, 0.05])
 @pytest.mark.parametrize(
     "code",
     [SLOW_TO_START, SLOW_TO_BEGIN, SLOW_TO_STOP],
     ids=["starting", "beginning", "stopping"],
 )
-def test_doubled_interrupt_ends_cleanly(code, gap_s):
+def test_doubled_interrupt_ends_cleanly(code):
     executable = started(code)
     for _ in range(2):
         executable.process.send_signal(signal.SIGINT)
-        time.sleep(gap_s)
+        time.sleep(0.02)
     status, log = executable.exit_status(30.0), executable.log
     assert status == 0, log
     assert "Traceback" not in log
@@ -149,17 +148,3 @@ def test_bug_is_not_swallowed():
     )
     assert done.returncode == 1
     assert "RuntimeError: a bug" in done.stderr
-
-
-@pytest.mark.parametrize("told", [["-p", "nonsense"], ["--nonsense"]])
-def test_arguments_that_ros_cannot_read_are_refused(told):
-    done = subprocess.run(
-        [sys.executable, "-c", ENDS_ITSELF, "--ros-args", *told],
-        timeout=60,
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 2
-    assert "cannot start" in done.stderr
-    assert "nonsense" in done.stderr

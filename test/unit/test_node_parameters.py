@@ -3,11 +3,14 @@
 
 """Parameters of the node, checked in one place, and the files that set them."""
 
+import dataclasses
+
 import pytest
 import yaml
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.files import parameter_path
+from dotsim_ros.io.quantity import check_fields, quantity
 from dotsim_ros.nodes.common.parameters import from_values, known_parameters
 from dotsim_ros.nodes.tactile_sim.framing import Framing
 from dotsim_ros.nodes.tactile_sim.parameters import FrameParameters, TactileSimParameters
@@ -22,6 +25,8 @@ from dotsim_ros.specification import load_sensor
         ({"clock": "sundial"}, "expected one of realtime, lockstep"),
         ({"crop_px": (0, 0, 10)}, "crop_px is .* expected 4 numbers"),
         ({"crop_px": (5, 0, 0, 0)}, "four zeros"),
+        ({"crop_px": (0.5, 0, 0, 0)}, "crop_px is .* expected 4 numbers"),
+        ({"ratehz": 5.0}, "ratehz: expected only sensor, device, indenter"),
         ({"image_size_px": (640, 0)}, "both width and height"),
         ({"grid_spacing_m": 1e-4}, r"grid_spacing_m is 0\.0001, expected a number from 0\.0002"),
         ({"start_quaternion_xyzw": (0.0, 0.0, 0.0, 0.5)}, "length"),
@@ -39,6 +44,24 @@ from dotsim_ros.specification import load_sensor
 def test_bad_values_and_contradictions_are_refused_with_the_reason(changes, reason):
     with pytest.raises(ValueError, match=reason):
         from_values(TactileSimParameters, changes)
+
+
+@dataclasses.dataclass(frozen=True)
+class Lists:
+    """Fields that hold lists."""
+
+    topics: tuple[str, ...] = quantity(("wrench",), help="Texts.")
+    numbers: tuple[int, ...] = quantity((-1,), help="Any.", low=-1, high=9, any_length=True)
+
+    def __post_init__(self) -> None:
+        check_fields("", self)
+
+
+def test_lists_may_hold_texts_and_be_of_any_length():
+    assert Lists(["a", "b"], [1, 2, 3]) == Lists(("a", "b"), (1, 2, 3))
+    for given, reason in (({"topics": (1,)}, "list of texts"), ({"numbers": (10,)}, "-1 to 9")):
+        with pytest.raises(ValueError, match=reason):
+            Lists(**given)
 
 
 def test_every_parameter_says_what_it_is():
