@@ -107,7 +107,6 @@ class LiveAttachment(WorkingNode):
     # Orders, from the server's thread.
 
     def move(self, pose: Pose | None, number: int) -> None:
-        """See `desk.Subject`."""
         if pose is None:
             raise ValueError(
                 "a node's indenter cannot be taken away: drag it off, or reset the node"
@@ -122,11 +121,9 @@ class LiveAttachment(WorkingNode):
         )
 
     def choose_sensor(self, name: str) -> None:
-        """See `desk.Subject`."""
         raise ValueError(f"sensor {name} is the node's own: set it when the node is started")
 
     def choose_indenter(self, name: str) -> None:
-        """See `desk.Subject`."""
         self._need(self._set, "parameters")
         change = Parameter("indenter", value=name).to_parameter_msg()
         answer = self._set.call_async(SetParametersAtomically.Request(parameters=[change]))
@@ -134,11 +131,9 @@ class LiveAttachment(WorkingNode):
         self._desk.tell_state(busy=f"the node prepares {name}")
 
     def choose_profile(self, name: str) -> None:
-        """See `desk.Subject`."""
         raise ValueError(f"profile {name} is the node's own: set it when the node is started")
 
     def reset(self) -> None:
-        """See `desk.Subject`."""
         self._need(self._reset, "service reset")
         self._reset.call_async(Trigger.Request()).add_done_callback(self._on_reset)
 
