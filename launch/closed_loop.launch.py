@@ -11,11 +11,10 @@ The arm stays until the last line; docs/closed_loop.md says what to check before
 clock:=simulated all nodes go on in the steps of time_stepper: docs/simulated_time.md.
 """
 
-from pathlib import Path
+from functools import partial
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import OpaqueFunction
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import (
     AndSubstitution,
@@ -27,10 +26,14 @@ from launch_ros.actions import Node
 
 from dotsim_ros.nodes.common.launch_arguments import (
     SENSOR,
+    SWITCH,
     TIME,
+    argument,
     description,
     given,
     given_file,
+    own_node,
+    parameter_file_argument,
     recorder,
     sensor_arguments,
     text_of,
@@ -39,68 +42,55 @@ from dotsim_ros.nodes.common.launch_arguments import (
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
-    params = Path(get_package_share_directory("dotsim_ros")) / "params"
     arguments = [
-        DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
-        DeclareLaunchArgument(
-            "params_file",
-            default_value=str(params / "closed_loop.yaml"),
-            description="parameters of all nodes, the policy among them; what is given by the "
+        argument("namespace", "of all topics"),
+        parameter_file_argument(
+            "closed_loop.yaml",
+            "parameters of all nodes, the policy among them; what is given by the "
             "arguments below goes before it",
         ),
-        DeclareLaunchArgument(
+        argument(
             "policy",
-            default_value="",
-            description="the policy: a folder, or a name below params/policies; empty: as the "
-            "parameters say",
+            "the policy: a folder, or a name below params/policies; empty: as the parameters say",
         ),
-        DeclareLaunchArgument(
+        argument(
             "path",
-            default_value="",
-            description="which of the policy's paths to follow; empty: as the parameters "
-            "say, else the first",
+            "which of the policy's paths to follow; empty: as the parameters say, else the first",
         ),
-        DeclareLaunchArgument(
+        argument(
             "simulate_sensor",
-            default_value="true",
-            choices=["true", "false"],
-            description="false: the real sensor's driver publishes the images",
+            "false: the real sensor's driver publishes the images",
+            "true",
+            choices=SWITCH,
         ),
-        DeclareLaunchArgument(
+        argument(
             "simulate_arm",
-            default_value="true",
-            choices=["true", "false"],
-            description="false: the real arm's adapter is started on its own",
+            "false: the real arm's adapter is started on its own",
+            "true",
+            choices=SWITCH,
         ),
-        DeclareLaunchArgument(
-            "record",
-            default_value="false",
-            choices=["true", "false"],
-            description="record a bag in the working directory",
-        ),
-        DeclareLaunchArgument(
+        argument("record", "record a bag in the working directory", "false", choices=SWITCH),
+        argument(
             "clock",
-            default_value="realtime",
+            "simulated: in steps that all nodes take together, by time_stepper",
+            "realtime",
             choices=["realtime", "simulated"],
-            description="simulated: in steps that all nodes take together, by time_stepper",
         ),
-        DeclareLaunchArgument(
+        argument(
             "participants",
-            default_value="",
-            description="file of those whom simulated time waits for, of these nodes and of "
+            "file of those whom simulated time waits for, of these nodes and of "
             "yours; empty: as the parameters say, else the shipped one",
         ),
-        DeclareLaunchArgument(
+        argument(
             "speed",
-            default_value="",
-            description="simulated seconds for each real one, 0 for as many as the machine "
+            "simulated seconds for each real one, 0 for as many as the machine "
             "gives; empty: as the parameters say, else 0",
         ),
-        DeclareLaunchArgument(
+        argument(
             "one_process",
-            default_value="false",
-            choices=["true", "false"],
-            description="sensor, arm and policy in one process; both are simulated then",
+            "sensor, arm and policy in one process; both are simulated then",
+            "false",
+            choices=SWITCH,
         ),
         *sensor_arguments(),
     ]
@@ -136,52 +126,25 @@ def nodes(context: LaunchContext) -> list[Node]:
         },
     )
     parameters = [text_of(context, "params_file"), given_here]
+    start = partial(own_node, namespace=namespace, parameters=parameters)
     one_process = LaunchConfiguration("one_process")
     is_apart = NotSubstitution(one_process)
+    has_sensor = AndSubstitution(LaunchConfiguration("simulate_sensor"), is_apart)
+    has_arm = AndSubstitution(LaunchConfiguration("simulate_arm"), is_apart)
+    is_stepped = EqualsSubstitution(LaunchConfiguration("clock"), "simulated")
     return [
-        Node(
-            package="dotsim_ros",
-            executable="tactile_sim",
-            namespace=namespace,
-            parameters=parameters,
-            condition=IfCondition(
-                AndSubstitution(LaunchConfiguration("simulate_sensor"), is_apart)
-            ),
-            output="screen",
-        ),
-        Node(
-            package="dotsim_ros",
-            executable="xarm_sim",
-            namespace=namespace,
-            parameters=parameters,
-            condition=IfCondition(AndSubstitution(LaunchConfiguration("simulate_arm"), is_apart)),
-            output="screen",
-        ),
-        Node(
-            package="dotsim_ros",
-            executable="dotsim_closed_loop",
-            namespace=namespace,
-            parameters=parameters,
+        start("tactile_sim", condition=IfCondition(has_sensor)),
+        start("xarm_sim", condition=IfCondition(has_arm)),
+        start(
+            "dotsim_closed_loop",
             remappings=[("tactile_policy:~/cmd_vel", "cmd_vel")],
             condition=IfCondition(one_process),
-            output="screen",
         ),
-        Node(
-            package="dotsim_ros",
-            executable="tactile_policy",
-            namespace=namespace,
-            parameters=parameters,
+        start(
+            "tactile_policy",
             remappings=[("~/cmd_vel", "cmd_vel")],
             condition=UnlessCondition(one_process),
-            output="screen",
         ),
         recorder(namespace, parameters),
-        Node(
-            package="dotsim_ros",
-            executable="time_stepper",
-            namespace=namespace,
-            parameters=parameters,
-            condition=IfCondition(EqualsSubstitution(LaunchConfiguration("clock"), "simulated")),
-            output="screen",
-        ),
+        start("time_stepper", condition=IfCondition(is_stepped)),
     ]

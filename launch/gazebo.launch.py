@@ -11,28 +11,28 @@ publish and take. Topics and types are those of Gazebo's systems PosePublisher (
 of types of ros_gz_bridge.
 """
 
-from pathlib import Path
-
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from dotsim_ros.nodes.common.launch_arguments import (
     SENSOR,
     TIME,
+    argument,
     description,
     given,
     given_file,
+    own_node,
+    parameter_file_argument,
     sensor_arguments,
+    static_transform,
     text_of,
 )
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
-    params = Path(get_package_share_directory("dotsim_ros")) / "params"
     world = LaunchConfiguration("world")
     sensor_link = LaunchConfiguration("sensor_link")
     indenter_link = LaunchConfiguration("indenter_link")
@@ -40,42 +40,26 @@ def generate_launch_description() -> LaunchDescription:
     indenter_poses = ["/model/", LaunchConfiguration("indenter_model"), "/pose"]
     wrenches = ["/world/", world, "/wrench"]
     arguments = [
-        DeclareLaunchArgument("world", default_value="default", description="Gazebo's world"),
-        DeclareLaunchArgument(
-            "sensor_model", default_value="arm", description="model that carries the sensor"
-        ),
-        DeclareLaunchArgument(
-            "sensor_link", default_value="arm::tool", description="link that carries it"
-        ),
-        DeclareLaunchArgument(
-            "base_z", default_value="0.05", description="of the sensor's base on that link (m)"
-        ),
-        DeclareLaunchArgument(
+        argument("world", "Gazebo's world", "default"),
+        argument("sensor_model", "model that carries the sensor", "arm"),
+        argument("sensor_link", "link that carries it", "arm::tool"),
+        argument("base_z", "of the sensor's base on that link (m)", "0.05"),
+        argument(
             "sensor_centre_m",
-            default_value="[0.0, 0.0, -0.05]",
-            description="centre of mass of that link, in the frame of the sensor's base",
+            "centre of mass of that link, in the frame of the sensor's base",
+            "[0.0, 0.0, -0.05]",
         ),
-        DeclareLaunchArgument(
-            "indenter_model", default_value="peg", description="model that presses"
-        ),
-        DeclareLaunchArgument(
-            "indenter_link", default_value="peg::link", description="link that presses"
-        ),
-        DeclareLaunchArgument(
-            "tip_z",
-            default_value="0.02",
-            description="of the tip on that link (m); the link's +z is towards the gel",
-        ),
-        DeclareLaunchArgument(
+        argument("indenter_model", "model that presses", "peg"),
+        argument("indenter_link", "link that presses", "peg::link"),
+        argument("tip_z", "of the tip on that link (m); the link's +z is towards the gel", "0.02"),
+        argument(
             "indenter_centre_m",
-            default_value="[0.0, 0.0, 0.02]",
-            description="centre of mass of that link, in the frame of the tip",
+            "centre of mass of that link, in the frame of the tip",
+            "[0.0, 0.0, 0.02]",
         ),
-        DeclareLaunchArgument(
-            "params_file",
-            default_value=str(params / "simulators/gazebo.yaml"),
-            description="parameters of tactile_sim; what is given by the other arguments goes "
-            "before it",
+        parameter_file_argument(
+            "simulators/gazebo.yaml",
+            "parameters of tactile_sim; what is given by the other arguments goes before it",
         ),
         *sensor_arguments(),
     ]
@@ -93,33 +77,17 @@ def generate_launch_description() -> LaunchDescription:
             remappings=[(sensor_poses, "/tf"), (indenter_poses, "/tf")],
             output="screen",
         ),
-        Node(
-            package="tf2_ros",
-            executable="static_transform_publisher",
+        static_transform(
+            sensor_link,
+            "densetact_base",
+            {"z": LaunchConfiguration("base_z")},
             name="sensor_base",
-            arguments=[
-                "--z",
-                LaunchConfiguration("base_z"),
-                "--frame-id",
-                sensor_link,
-                "--child-frame-id",
-                "densetact_base",
-            ],
         ),
-        Node(
-            package="tf2_ros",
-            executable="static_transform_publisher",
+        static_transform(
+            indenter_link,
+            "indenter",
+            {"z": LaunchConfiguration("tip_z"), "roll": "3.14159265"},
             name="indenter_tip",
-            arguments=[
-                "--z",
-                LaunchConfiguration("tip_z"),
-                "--roll",
-                "3.14159265",
-                "--frame-id",
-                indenter_link,
-                "--child-frame-id",
-                "indenter",
-            ],
         ),
         OpaqueFunction(function=sensor),
     )
@@ -149,14 +117,12 @@ def sensor(context: LaunchContext) -> list[Node]:
         **given(context, {**SENSOR, **TIME}),
     }
     return [
-        Node(
-            package="dotsim_ros",
-            executable="tactile_sim",
+        own_node(
+            "tactile_sim",
             parameters=[
                 text_of(context, "params_file"),
                 given_file("", {"tactile_sim": given_here}),
             ],
             remappings=[("entity_wrench", f"/world/{text_of(context, 'world')}/wrench")],
-            output="screen",
         )
     ]

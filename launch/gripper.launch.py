@@ -9,11 +9,8 @@ ros2 launch dotsim_ros gripper.launch.py params_file:=drivers/dual_compressed.ya
 Frames begin with left_ and right_, so that both sensors are in one tree.
 """
 
-from pathlib import Path
-
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import OpaqueFunction
 from launch_ros.actions import Node
 
 from dotsim_ros.nodes.common.launch_arguments import (
@@ -22,6 +19,8 @@ from dotsim_ros.nodes.common.launch_arguments import (
     description,
     given,
     given_file,
+    own_node,
+    parameter_file_argument,
     sensor_arguments,
     text_of,
 )
@@ -30,12 +29,10 @@ from dotsim_ros.nodes.common.parameter_file import named_parameters
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
-    params = Path(get_package_share_directory("dotsim_ros")) / "params"
     arguments = [
-        DeclareLaunchArgument(
-            "params_file",
-            default_value=str(params / "tactile_sim.yaml"),
-            description="parameters of both; /left/tactile_sim and /right/tactile_sim in it "
+        parameter_file_argument(
+            "tactile_sim.yaml",
+            "parameters of both; /left/tactile_sim and /right/tactile_sim in it "
             "are those of one, and only there frame_prefix counts",
         ),
         *sensor_arguments(),
@@ -54,11 +51,9 @@ def finger(context: LaunchContext, side: str) -> list[Node]:
     prefix = {} if "frame_prefix" in own else {"frame_prefix": f"{side}_"}
     given_here = {**prefix, **given(context, {**SENSOR, **TIME})}
     return [
-        Node(
-            package="dotsim_ros",
-            executable="tactile_sim",
+        own_node(
+            "tactile_sim",
             namespace=side,
             parameters=[params_file, given_file(side, {"tactile_sim": given_here})],
-            output="screen",
         )
     ]

@@ -15,11 +15,8 @@ publishes nav_msgs/Odometry of the joint `odom_free_joint_name` on `odom_topic`,
 `odom`, with the body's name as child_frame_id. docs/simulators.md says how the force goes back.
 """
 
-from pathlib import Path
-
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
@@ -27,68 +24,52 @@ from launch_ros.actions import Node
 from dotsim_ros.nodes.common.launch_arguments import (
     SENSOR,
     TIME,
+    argument,
     description,
     given,
     given_file,
+    own_node,
+    parameter_file_argument,
     sensor_arguments,
+    static_transform,
     text_of,
 )
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
-    params = Path(get_package_share_directory("dotsim_ros")) / "params"
     is_arm = EqualsSubstitution(LaunchConfiguration("source"), "arm")
     arguments = [
-        DeclareLaunchArgument(
+        argument(
             "source",
-            default_value="arm",
+            "what moves: the arm with the sensor, or the body that presses",
+            "arm",
             choices=["arm", "free_body"],
-            description="what moves: the arm with the sensor, or the body that presses",
         ),
-        DeclareLaunchArgument(
+        argument(
             "indenter_frame",
-            default_value="peg",
-            description="frame of the peg's tip, +z away from the gel; or name of the body",
+            "frame of the peg's tip, +z away from the gel; or name of the body",
+            "peg",
         ),
-        DeclareLaunchArgument("peg_x", default_value="0.0", description="of the tip (m)"),
-        DeclareLaunchArgument("peg_y", default_value="0.0", description="of the tip (m)"),
-        DeclareLaunchArgument("peg_z", default_value="0.0", description="of the tip (m)"),
-        DeclareLaunchArgument(
-            "peg_roll", default_value="3.14159265", description="of the tip (rad)"
+        argument("peg_x", "of the tip (m)", "0.0"),
+        argument("peg_y", "of the tip (m)", "0.0"),
+        argument("peg_z", "of the tip (m)", "0.0"),
+        argument("peg_roll", "of the tip (rad)", "3.14159265"),
+        argument(
+            "odom_topic", "topic of the free body's odometry", "/simulator/floating_base_state"
         ),
-        DeclareLaunchArgument(
-            "odom_topic",
-            default_value="/simulator/floating_base_state",
-            description="topic of the free body's odometry",
-        ),
-        DeclareLaunchArgument(
-            "params_file",
-            default_value=str(params / "simulators/mujoco_ros2_control.yaml"),
-            description="parameters of tactile_sim; what is given by the other arguments goes "
-            "before it",
+        parameter_file_argument(
+            "simulators/mujoco_ros2_control.yaml",
+            "parameters of tactile_sim; what is given by the other arguments goes before it",
         ),
         *sensor_arguments(),
     ]
     return description(
         arguments,
-        Node(
-            package="tf2_ros",
-            executable="static_transform_publisher",
-            arguments=[
-                "--x",
-                LaunchConfiguration("peg_x"),
-                "--y",
-                LaunchConfiguration("peg_y"),
-                "--z",
-                LaunchConfiguration("peg_z"),
-                "--roll",
-                LaunchConfiguration("peg_roll"),
-                "--frame-id",
-                "world",
-                "--child-frame-id",
-                LaunchConfiguration("indenter_frame"),
-            ],
+        static_transform(
+            "world",
+            LaunchConfiguration("indenter_frame"),
+            {axis: LaunchConfiguration(f"peg_{axis}") for axis in ("x", "y", "z", "roll")},
             condition=IfCondition(is_arm),
         ),
         OpaqueFunction(function=sensor),
@@ -103,14 +84,12 @@ def sensor(context: LaunchContext) -> list[Node]:
         source = {"pose_source": "odometry", "base_frame": "odom"}
     given_here = {**source, **given(context, {"indenter_frame": str, **SENSOR, **TIME})}
     return [
-        Node(
-            package="dotsim_ros",
-            executable="tactile_sim",
+        own_node(
+            "tactile_sim",
             parameters=[
                 text_of(context, "params_file"),
                 given_file("", {"tactile_sim": given_here}),
             ],
             remappings=[("indenter/odometry", text_of(context, "odom_topic"))],
-            output="screen",
         )
     ]

@@ -9,21 +9,24 @@ ros2 launch dotsim_ros tactile_sim.launch.py params_file:=drivers/run_camera.yam
 ros2 launch dotsim_ros tactile_sim.launch.py effects:=report/effects_overlay.yaml
 """
 
-from pathlib import Path
+from functools import partial
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from dotsim_ros.nodes.common.launch_arguments import (
     SENSOR,
+    SWITCH,
     TIME,
+    argument,
     description,
     given,
     given_file,
+    own_node,
+    parameter_file_argument,
     recorder,
     sensor_arguments,
     text_of,
@@ -33,40 +36,27 @@ from dotsim_ros.nodes.indenter_player.launched import player_parameters
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
-    params = Path(get_package_share_directory("dotsim_ros")) / "params"
     arguments = [
-        DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
-        DeclareLaunchArgument(
-            "params_file",
-            default_value=str(params / "tactile_sim.yaml"),
-            description="parameters of tactile_sim, or of all nodes; those of the player and "
+        argument("namespace", "of all topics"),
+        parameter_file_argument(
+            "tactile_sim.yaml",
+            "parameters of tactile_sim, or of all nodes; those of the player and "
             "the recorder alone stand below /**/indenter_player and /**/tactile_record",
         ),
         *sensor_arguments(),
-        DeclareLaunchArgument(
-            "effects",
-            default_value="",
-            description="overlay of effects that find_gap wrote; empty: as the parameters say",
-        ),
-        DeclareLaunchArgument(
-            "play",
-            default_value="false",
-            choices=["true", "false"],
-            description="move the indenter",
-        ),
-        DeclareLaunchArgument(
+        argument("effects", "overlay of effects that find_gap wrote; empty: as the parameters say"),
+        argument("play", "move the indenter", "false", choices=SWITCH),
+        argument(
             "source",
-            default_value="",
-            choices=["", "press", "slide", "twist", "presses"],
-            description="how: a scripted motion, or the recorded real presses, for a dome; "
+            "how: a scripted motion, or the recorded real presses, for a dome; "
             "empty: as the parameters say, else presses",
+            choices=["", "press", "slide", "twist", "presses"],
         ),
-        DeclareLaunchArgument(
+        argument(
             "record",
-            default_value="false",
-            choices=["true", "false"],
-            description="record a bag in the working directory: the topics that the "
-            "parameters name",
+            "record a bag in the working directory: the topics that the parameters name",
+            "false",
+            choices=SWITCH,
         ),
     ]
     return description(
@@ -94,21 +84,9 @@ def nodes(context: LaunchContext) -> list[Node]:
         },
     )
     parameters = [params_file, given_here]
+    start = partial(own_node, namespace=namespace, parameters=parameters)
     return [
-        Node(
-            package="dotsim_ros",
-            executable="tactile_sim",
-            namespace=namespace,
-            parameters=parameters,
-            output="screen",
-        ),
-        Node(
-            package="dotsim_ros",
-            executable="indenter_player",
-            namespace=namespace,
-            parameters=parameters,
-            condition=IfCondition(LaunchConfiguration("play")),
-            output="screen",
-        ),
+        start("tactile_sim"),
+        start("indenter_player", condition=IfCondition(LaunchConfiguration("play"))),
         recorder(namespace, parameters),
     ]

@@ -1,7 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""sensor_msgs/JointState as vectors."""
+"""sensor_msgs/JointState as vectors; other lengths, missing joints and numbers that are not finite
+are refused by ValueError."""
 
 from __future__ import annotations
 
@@ -24,19 +25,8 @@ def encode_joint_state(
     frame_id: str,
     types: MessageTypes = ROS,
 ) -> Message:
-    """Return a sensor_msgs/JointState without efforts.
-
-    Args:
-        names: of the J joints.
-        positions_rad: (J,).
-        velocities_rad_s: (J,).
-        stamp_ns: time of the state.
-        frame_id: of the header.
-        types: of the message: an installed ROS or a bag's type store.
-
-    Raises:
-        ValueError: other lengths, or numbers that are not finite.
-    """
+    """Return a sensor_msgs/JointState of J names, (J,) positions and (J,) velocities, without
+    efforts."""
     count = len(names)
     return types.make(
         "sensor_msgs/msg/JointState",
@@ -51,11 +41,7 @@ def encode_joint_state(
 def decode_joint_state(
     message: Message, names: Sequence[str]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the (J,) positions (rad) and velocities (rad/s) of the named joints, in that order.
-
-    Raises:
-        ValueError: a joint is missing, a list is too short, or a number is not finite.
-    """
+    """Return the (J,) positions (rad) and velocities (rad/s) of the named joints, in that order."""
     present = list(message.name)
     missing = [name for name in names if name not in present]
     if missing:

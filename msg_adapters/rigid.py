@@ -1,7 +1,11 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""geometry_msgs of rigid bodies: poses, twists and wrenches as vectors."""
+"""geometry_msgs of rigid bodies: poses, twists and wrenches as vectors.
+
+Other lengths, numbers that are not finite and quaternions that are not of unit length are refused
+by ValueError, both ways.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +39,7 @@ def encode_pose_stamped(
     frame_id: str,
     types: MessageTypes = ROS,
 ) -> Message:
-    """Return a geometry_msgs/PoseStamped of a (3,) position and a (4,) unit quaternion.
-
-    Raises:
-        ValueError: wrong lengths, numbers that are not finite, or a quaternion not of unit length.
-    """
+    """Return a geometry_msgs/PoseStamped of a (3,) position and a (4,) unit quaternion."""
     x, y, z = finite_vector(position_m, 3, "position").tolist()
     qx, qy, qz, qw = unit_quaternion(quaternion_xyzw, "quaternion").tolist()
     pose = types.make(
@@ -52,11 +52,7 @@ def encode_pose_stamped(
 
 
 def decode_pose_stamped(message: Message) -> Vectors:
-    """Return the (3,) position in metres and (4,) quaternion x, y, z, w of a PoseStamped.
-
-    Raises:
-        ValueError: a number that is not finite, or a quaternion not of unit length.
-    """
+    """Return the (3,) position in metres and (4,) quaternion x, y, z, w of a PoseStamped."""
     point, rotation = message.pose.position, message.pose.orientation
     position = finite_vector((point.x, point.y, point.z), 3, "position")
     components = (rotation.x, rotation.y, rotation.z, rotation.w)
@@ -64,11 +60,7 @@ def decode_pose_stamped(message: Message) -> Vectors:
 
 
 def decode_transform(message: Message) -> Vectors:
-    """Return the (3,) translation in metres and (4,) quaternion x, y, z, w of a TransformStamped.
-
-    Raises:
-        ValueError: a number that is not finite, or a quaternion not of unit length.
-    """
+    """Return the (3,) translation (m) and (4,) quaternion x, y, z, w of a TransformStamped."""
     rotation = message.transform.rotation
     translation = _decode_vector3(message.transform.translation, "translation")
     components = (rotation.x, rotation.y, rotation.z, rotation.w)
@@ -77,22 +69,14 @@ def decode_transform(message: Message) -> Vectors:
 
 def decode_odometry(message: Message) -> tuple[Vectors, Vectors]:
     """Return the pose of a nav_msgs/Odometry, as `decode_pose_stamped` does, in the frame of its
-    header, and the velocities, as `decode_twist` does, along the axes of its `child_frame_id`.
-
-    Raises:
-        ValueError: a number that is not finite, or a quaternion not of unit length.
-    """
+    header, and the velocities, as `decode_twist` does, along the axes of its `child_frame_id`."""
     return decode_pose_stamped(message.pose), decode_twist(message.twist.twist)
 
 
 def encode_twist(
     linear_m_s: ArrayLike, angular_rad_s: ArrayLike, *, types: MessageTypes = ROS
 ) -> Message:
-    """Return a geometry_msgs/Twist of two (3,) velocities.
-
-    Raises:
-        ValueError: wrong lengths, or numbers that are not finite.
-    """
+    """Return a geometry_msgs/Twist of two (3,) velocities."""
     return types.make(
         "geometry_msgs/msg/Twist",
         linear=_encode_vector3(finite_vector(linear_m_s, 3, "linear velocity"), types),
@@ -101,11 +85,7 @@ def encode_twist(
 
 
 def decode_twist(message: Message) -> Vectors:
-    """Return the (3,) linear (m/s) and (3,) angular (rad/s) velocity of a Twist.
-
-    Raises:
-        ValueError: a number that is not finite.
-    """
+    """Return the (3,) linear (m/s) and (3,) angular (rad/s) velocity of a Twist."""
     return (
         _decode_vector3(message.linear, "linear velocity"),
         _decode_vector3(message.angular, "angular velocity"),
@@ -149,22 +129,14 @@ def encode_wrench_stamped(
     frame_id: str,
     types: MessageTypes = ROS,
 ) -> Message:
-    """Return a geometry_msgs/WrenchStamped of a (3,) force and a (3,) torque.
-
-    Raises:
-        ValueError: wrong lengths, or numbers that are not finite.
-    """
+    """Return a geometry_msgs/WrenchStamped of a (3,) force and a (3,) torque."""
     header = encode_header(stamp_ns, frame_id, types=types)
     wrench = _encode_wrench(force_n, torque_nm, types)
     return types.make("geometry_msgs/msg/WrenchStamped", header=header, wrench=wrench)
 
 
 def decode_wrench_stamped(message: Message) -> Vectors:
-    """Return the (3,) force (N) and (3,) torque (N m) of a WrenchStamped.
-
-    Raises:
-        ValueError: a number that is not finite.
-    """
+    """Return the (3,) force (N) and (3,) torque (N m) of a WrenchStamped."""
     return (
         _decode_vector3(message.wrench.force, "force"),
         _decode_vector3(message.wrench.torque, "torque"),

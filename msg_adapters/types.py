@@ -72,7 +72,6 @@ class RosTypes:
     """The message classes of the installed ROS 2, imported at their first use."""
 
     def make(self, name: str, /, **fields: Any) -> Message:
-        """See `MessageTypes.make`."""
         return message_class(name)(**fields)
 
     def octets(self, values: NDArray[Any]) -> array.array[int]:
@@ -86,11 +85,9 @@ class RosTypes:
         return octets
 
     def doubles(self, values: NDArray[np.float64]) -> list[float]:
-        """See `MessageTypes.doubles`."""
         return [float(value) for value in values]
 
     def octet(self, value: int) -> bytes:
-        """See `MessageTypes.octet`."""
         return bytes([value])
 
 
@@ -105,7 +102,6 @@ class BagTypes:
         self._classes = classes
 
     def make(self, name: str, /, **fields: Any) -> Message:
-        """See `MessageTypes.make`."""
         return self._classes[name](**fields)
 
     def octets(self, values: NDArray[Any]) -> NDArray[np.uint8]:
@@ -113,11 +109,9 @@ class BagTypes:
         return values.reshape(-1).view(np.uint8)
 
     def doubles(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """See `MessageTypes.doubles`."""
         return np.ascontiguousarray(values, dtype=np.float64)
 
     def octet(self, value: int) -> int:
-        """See `MessageTypes.octet`."""
         return value
 
 

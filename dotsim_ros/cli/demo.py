@@ -45,7 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.io.progress import PrintedProgress
     from dotsim_ros.nodes.common.processes import NodeProcess
     from dotsim_ros.nodes.common.transport import stay_local
-    from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, program_of
+    from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
+    from dotsim_ros.nodes.indenter_player.program import program_of
     from dotsim_ros.nodes.loop.observer import LoopObserver
     from dotsim_ros.nodes.simulated_time.participants import Participant
     from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings

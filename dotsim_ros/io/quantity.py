@@ -35,6 +35,9 @@ class Quantity:
         low, high: smallest and largest number that it takes.
         excludes_low: whether a number must be larger than `low`.
         choices: the texts that it takes; empty for any text.
+        is_path: whether a text names a file or folder, in which a leading `~` is the user's home.
+        any_length: whether a list may have another length than the default.
+        fixed: when it cannot be changed any more, in words; None: as the class says of all fields.
     """
 
     help: str
@@ -43,6 +46,9 @@ class Quantity:
     high: float = math.nan
     excludes_low: bool = False
     choices: tuple[str, ...] = ()
+    is_path: bool = False
+    any_length: bool = False
+    fixed: str | None = None
 
     @property
     def has_range(self) -> bool:
@@ -68,7 +74,7 @@ def quantity(default: Any, *, help: str, **known: Any) -> Any:
     """Return a field of a data class; `known` as in `Quantity`.
 
     Its type is that of the default: true or false, a whole number, a number, a text, or a list of
-    as many numbers as the default has (of any length where that is empty).
+    texts, or of as many numbers as the default has (of any length where that is empty).
 
     Raises:
         TypeError: a number without a range, or a type that no field has.
@@ -76,9 +82,13 @@ def quantity(default: Any, *, help: str, **known: Any) -> Any:
     found = Quantity(help, **known)
     if not isinstance(default, bool | int | float | str | tuple):
         raise TypeError(f"no field can have the default {default!r}")
-    if isinstance(default, bool | str) == found.has_range:
+    if (isinstance(default, bool | str) or _is_texts(default)) == found.has_range:
         raise TypeError(f"{help!r}: numbers, and only they, need both ends of a range")
     return dataclasses.field(default=default, metadata={_KEY: found})
+
+
+def _is_texts(default: Any) -> bool:
+    return isinstance(default, tuple) and bool(default) and isinstance(default[0], str)
 
 
 def quantities_of(kind: type) -> dict[str, tuple[Any, Quantity]]:
@@ -157,6 +167,8 @@ def _range_cell(default: Any, known: Quantity) -> str:
         return "true, false"
     if isinstance(default, str):
         return ", ".join(f"`{choice}`" for choice in known.choices) or "text"
+    if _is_texts(default):
+        return "list of texts"
     if isinstance(default, tuple):
         return f"{f'{len(default)} numbers' if default else 'list'}, {known.range_text}"
     return f"{'whole, ' if isinstance(default, int) else ''}{known.range_text}"
@@ -166,7 +178,7 @@ def _default_cell(default: Any) -> str:
     if isinstance(default, str):
         return f"`{default}`" if default else "empty"
     if isinstance(default, tuple):
-        return f"[{', '.join(map(number_text, default))}]"
+        return f"[{', '.join(default if _is_texts(default) else map(number_text, default))}]"
     return value_text(default) if isinstance(default, bool) else number_text(default)
 
 
@@ -177,8 +189,12 @@ def _checked(name: str, value: Any, default: Any, known: Quantity) -> Any:
         return value
     if isinstance(default, str):
         return _checked_text(name, value, known)
+    if _is_texts(default):
+        if not isinstance(value, list | tuple) or not all(isinstance(each, str) for each in value):
+            raise ValueError(f"{name} is {value_text(value)}, expected a list of texts")
+        return tuple(value)
     if isinstance(default, tuple):
-        return _checked_list(name, value, len(default), known)
+        return _checked_list(name, value, default, known)
     noun = "a whole number" if isinstance(default, int) else "a number"
     number = _as_number(value, is_whole=isinstance(default, int))
     if number is None or not known.contains(number):
@@ -199,7 +215,10 @@ def _checked_text(name: str, value: Any, known: Quantity) -> str:
     raise ValueError(f"{name} is {value_text(value)}, expected {expected}")
 
 
-def _checked_list(name: str, value: Any, length: int, known: Quantity) -> tuple[float, ...]:
+def _checked_list(
+    name: str, value: Any, default: tuple[float, ...], known: Quantity
+) -> tuple[float, ...]:
+    length = 0 if known.any_length else len(default)
     expected = (
         f"expected {f'{length} numbers' if length else 'a list of numbers'} from "
         f"{known.range_text}{_unit(known)}"
@@ -208,7 +227,8 @@ def _checked_list(name: str, value: Any, length: int, known: Quantity) -> tuple[
         raise ValueError(f"{name} is {value_text(value)}, {expected}")
     if length and len(value) != length:
         raise ValueError(f"{name} is {value_text(value)}, {len(value)} entries, {expected}")
-    found = [_as_number(entry, is_whole=False) for entry in value]
+    is_whole = bool(default) and isinstance(default[0], int)
+    found = [_as_number(entry, is_whole=is_whole) for entry in value]
     if any(number is None or not known.contains(number) for number in found):
         raise ValueError(f"{name} is {value_text(value)}, {expected}{_meant(value, known)}")
     return tuple(number for number in found if number is not None)

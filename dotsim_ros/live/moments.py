@@ -45,8 +45,8 @@ class SkinMoment:
     Attributes:
         stamp_ns: the time.
         skin_m: (V, 3) base frame.
-        force_n: (3,) of the gel on the indenter, base frame; None where it is not known.
-        torque_nm: (3,) about the base frame's origin; zero where it is not known.
+        force_n, torque_nm: (3,) of the gel on the indenter, base frame, about its origin; None, and
+            zero, where they are not known.
         pose: of the indenter, that the skin shows; None where it is away or not known.
         number: of the newest order that the skin shows; 0: of none.
         spent_s: time of the frame before it, camera included; None where it is not known.

@@ -14,7 +14,7 @@ import errno
 import logging
 import threading
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -23,6 +23,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from dotsim_ros.live.payloads import Kind
+
+if TYPE_CHECKING:
+    from dotsim_ros.live.desk import LiveDesk
 
 HOST = "127.0.0.1"
 SOCKET = "/socket"
@@ -41,16 +44,6 @@ MOST_UNANSWERED = 2
 """Moments that a page has not confirmed; a slow one skips those in between."""
 SILENCE_S = 20.0
 """A page that sleeps for longer, or has lost its network, is let go; it comes back by itself."""
-
-
-class Desk(Protocol):
-    """What the server shows; see `desk.LiveDesk`."""
-
-    def greeting(self) -> list[tuple[Kind, bytes]]:
-        """Return what a page needs that has just opened."""
-
-    def hear(self, text: str | bytes) -> None:
-        """Do what a page orders."""
 
 
 class _Page:
@@ -96,13 +89,13 @@ class PageServer:
 
     def __init__(self, port: int) -> None:
         self.port = port
-        self._desk: Desk | None = None
+        self._desk: LiveDesk | None = None
         self._pages: set[_Page] = set()
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="server", daemon=True)
         self._server: Server | None = None
 
-    def start(self, desk: Desk) -> None:
+    def start(self, desk: LiveDesk) -> None:
         """Listen, and show a desk.
 
         Raises:

@@ -84,7 +84,7 @@ def _end(_number: int, _frame: object) -> None:
 
 def _usage(name: str, module: ModuleType) -> str:
     options = [
-        f"  {entry.name} ({entry.default!r}): {described}" for entry, described in _options(module)
+        f"  {name} ({default!r}): {described}" for name, default, described in _options(module)
     ]
     lines = [
         f"usage: {name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]",
@@ -98,12 +98,11 @@ def _usage(name: str, module: ModuleType) -> str:
     return "\n".join(lines)
 
 
-def _options(module: ModuleType) -> Iterator[tuple[dataclasses.Field[Any], str]]:
-    """Yield the fields of the parameter classes that a node's module uses, and their meaning."""
-    from dotsim_ros.nodes.common.options import METADATA_KEY
+def _options(module: ModuleType) -> Iterator[tuple[str, Any, str]]:
+    """Yield name, default and meaning of the parameters of a node's module."""
+    from dotsim_ros.nodes.common.parameters import known_parameters
 
     for kind in vars(module).values():
-        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-            for field in dataclasses.fields(kind):
-                if METADATA_KEY in field.metadata:
-                    yield field, field.metadata[METADATA_KEY].description
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+            for name, (default, known) in known_parameters(kind).items():
+                yield name, default, known.help

@@ -16,12 +16,12 @@ from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.tactile_sim.active_profile import (
     ActiveProfile,
+    ProfileKeeper,
     Rung,
     ladder_of,
     make_active_profile,
 )
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
-from dotsim_ros.nodes.tactile_sim.profile_keeper import ProfileKeeper
 from dotsim_ros.nodes.tactile_sim.profiles import FAST, REALTIME, solver_of
 from dotsim_ros.nodes.tactile_sim.session import SensorSession
 from dotsim_ros.sensor import TactileSensor
@@ -151,7 +151,7 @@ def test_auto_changes_a_session_and_tells(sensor: TactileSensor, rungs: dict[str
     session = SensorSession(sensor, first_dt_s=0.04, limit_m=REALTIME.move_m)
     ladder = [rungs["realtime"], rungs["fast"]]
     keeper = ProfileKeeper({"realtime": 0.02, "fast": 0.01}, period_s=0.04)
-    profile = ActiveProfile(ladder, session, keeper=keeper, why="", tell=said.append)
+    profile = ActiveProfile(ladder, session, keeper=keeper, why="", report=said.append)
     skins = []
     for number, pose in enumerate(slide_poses(float(sensor.skin.apex_m[2]))):
         session.follow(MotionOrder(pose, 40_000_000 * (number + 1), None))
@@ -173,14 +173,14 @@ def test_auto_makes_and_times_its_profiles(sensor: TactileSensor, rungs: dict[st
     sensor.set_solver(rungs["exact"].solver)
     session = SensorSession(sensor, first_dt_s=0.04, limit_m=np.inf)
     profile = make_active_profile(
-        list(rungs.values()), sensor, session, asked="auto", period_s=10.0, tell=said.append
+        list(rungs.values()), sensor, session, asked="auto", period_s=10.0, report=said.append
     )
     assert profile.name == "exact"
     assert not session.is_touched()
     assert sensor.specification.solver == rungs["exact"].solver
     assert "made and timed in" in said[0]
     hurried = make_active_profile(
-        list(rungs.values()), sensor, session, asked="auto", period_s=1e-6, tell=said.append
+        list(rungs.values()), sensor, session, asked="auto", period_s=1e-6, report=said.append
     )
     assert hurried.name == "fast"
     assert sensor.specification.solver == rungs["fast"].solver

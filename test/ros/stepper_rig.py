@@ -33,7 +33,8 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 import msg_adapters
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.node import WorkingNode
+from dotsim_ros.nodes.common.spin import run_node
 
 
 class Worker(WorkingNode):
@@ -78,15 +79,20 @@ raise SystemExit(run_node(Worker))
 MANAGED_WORKER = """
 from geometry_msgs.msg import PoseStamped
 import msg_adapters
-from dotsim_ros.nodes.common.managed_node import ManagedNode
+from dotsim_ros.nodes.common.life_cycle import LifeCycle
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.spin import run_node
 
 
-class Worker(ManagedNode):
+class Worker(WorkingNode):
     def __init__(self):
         super().__init__("worker")
-        self.start()
+        self.life_cycle = LifeCycle(self, self)
+        self.life_cycle.start()
+
+    def begin(self):
+        self.life_cycle.begin()
 
     def configure(self):
         self.count = 0

@@ -19,6 +19,7 @@ from sensor_msgs.srv import SetCameraInfo
 import msg_adapters
 from dotsim_ros.control.safety_layer.limits import Reason
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, RefusedInputError
+from dotsim_ros.nodes.common.parameters import from_values
 from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
@@ -40,6 +41,8 @@ class Desk:
     def create_subscription(self, _kind: type, topic: str, hear: Any, *_: Any, **__: Any) -> Any:
         self.callbacks[topic] = hear
         return self
+
+    open_subscription = create_subscription
 
     def create_service(self, _kind: type, name: str, answer: Any) -> None:
         self.callbacks[name] = answer
@@ -232,7 +235,7 @@ def test_a_velocity_beyond_all_is_refused_and_the_one_before_stays(
 @pytest.mark.parametrize("topic", ["indenter/pose", "indenter/wrench"])
 def test_messages_of_stamp_zero_are_all_taken_while_a_clock_stands(topic: str) -> None:
     desk, faults, motions = Desk(), FaultLog(), []
-    parameters = TactileSimParameters(control="force")
+    parameters = from_values(TactileSimParameters, {"control": "force"})
     MotionInput(desk, parameters, faults=faults, on_motion=motions.append)
     for index in range(5):
         force = WrenchStamped()
@@ -258,7 +261,7 @@ def test_the_time_of_a_velocity_counts_once_whatever_becomes_of_the_motion() -> 
         if heights_mm[-1] < 28.5:
             raise RefusedInputError(Fault.GEL, "too deep")
 
-    parameters = TactileSimParameters(clock="lockstep", input="twist")
+    parameters = from_values(TactileSimParameters, {"clock": "lockstep", "input": "twist"})
     MotionInput(desk, parameters, faults=faults, on_motion=press)
 
     def hear(linear_m_s: float, stamp_ms: int) -> None:

@@ -16,11 +16,11 @@ from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 
 import msg_adapters
-from dotsim_ros.nodes.tactile_sim.calibration_file import read_calibration
+from dotsim_ros.nodes.tactile_sim.camera_calibration import read_calibration
 from studies.run import FAILED
 from studies.speed.drop_in import drop_in
 
-SIDES = {"dual_compressed": (20, 22), "dual_difference": (20, 22), "dual_raw": (8, 10)}
+SIDES = {"dual_difference": (20, 22), "dual_raw": (8, 10)}
 
 
 def read(interface: str, seconds: float) -> dict[str, dict[str, object]]:
@@ -49,7 +49,7 @@ def test_the_reader_of_the_ros_1_driver_gets_its_topics() -> None:
 # 2 s later: 8 s show all states, whatever the phase.
 @pytest.mark.parametrize(
     ("interface", "seconds", "form"),
-    [("dual_compressed", 3.0, "jpeg"), ("dual_difference", 9.0, "jpeg"), ("dual_raw", 3.0, "bgr8")],
+    [("dual_difference", 9.0, "jpeg"), ("dual_raw", 3.0, "bgr8")],
 )
 def test_the_readers_of_the_driver_of_two_get_both(
     interface: str, seconds: float, form: str

@@ -14,19 +14,14 @@ from harness import (
     APEX_M,
     LockstepPress,
     TactileFrame,
-    refused_starts,
     sensor,
-    with_parameters,
 )
 
 import msg_adapters
 from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, write_overlay
-from dotsim_ros.nodes.tactile_sim.node import TactileSim
 
 # What effects change does not depend on the grid; a coarse one is made in a tenth of the time.
 PARAMETERS = {"clock": "lockstep", "diagnostics_period_s": 0.1, "grid_spacing_m": 0.0048}
-SLIDE = ((0.0, 1.2), (0.3, 1.2), (0.6, 1.2), (0.9, 1.2), (1.2, 1.2))
-"""Shift and depth of the indenter, mm: long enough to slip."""
 
 
 def overlay_at(path: Path, effects: Mapping[str, Mapping[str, float]]) -> Path:
@@ -39,25 +34,15 @@ def overlay_at(path: Path, effects: Mapping[str, Mapping[str, float]]) -> Path:
     return path
 
 
-def slide(press: LockstepPress) -> list[TactileFrame]:
-    """Press from afar and slide."""
-    press.frame_at((0.0, 0.0, APEX_M + 0.05))
-    press.frame_at((0.0, 0.0, APEX_M + 0.002))
-    return [press.frame_at((1e-3 * x, 0.0, APEX_M - 1e-3 * depth)) for x, depth in SLIDE]
-
-
 @pytest.fixture(scope="module")
-def plain() -> tuple[list[TactileFrame], list[TactileFrame]]:
-    """Return the press and the slide without effects."""
+def plain() -> list[TactileFrame]:
+    """Return the press without effects."""
     with sensor(**PARAMETERS) as (_, client):
         assert client.state("gel").values["effects"] == "none"
-        press = LockstepPress(client)
-        return press.run(), slide(press)
+        return LockstepPress(client).run()
 
 
-def test_effects_change_the_frames_and_are_named(
-    tmp_path: Path, plain: tuple[list[TactileFrame], list[TactileFrame]]
-) -> None:
+def test_effects_change_the_frames_and_are_named(tmp_path: Path, plain: list[TactileFrame]) -> None:
     path = overlay_at(
         tmp_path / "effects_overlay.yaml",
         {"force_scale": {"scale": 1.1}, "led_imbalance_red": {"loss_share": 0.2}},
@@ -69,7 +54,7 @@ def test_effects_change_the_frames_and_are_named(
         press = LockstepPress(client)
         first, again = press.run(), press.run()
     assert [a.is_same(b) for a, b in zip(first, again, strict=True)] == [True] * len(first)
-    for frame, other in zip(first, plain[0], strict=True):
+    for frame, other in zip(first, plain, strict=True):
         assert frame.force_n() == pytest.approx(1.1 * other.force_n(), rel=1e-12)
         torque_nm, plain_nm = (
             msg_adapters.decode_wrench_stamped(each.messages["wrench"])[1]
@@ -80,32 +65,6 @@ def test_effects_change_the_frames_and_are_named(
         red, own = frame.image(), other.image()
         assert np.array_equal(red[..., 0], np.rint(0.8 * own[..., 0]))
         assert np.array_equal(red[..., 1:], own[..., 1:])
-
-
-def test_a_slippery_skin_drags_less(
-    tmp_path: Path, plain: tuple[list[TactileFrame], list[TactileFrame]]
-) -> None:
-    path = overlay_at(tmp_path / "effects_overlay.yaml", {"coulomb_slip": {"friction_ratio": 0.3}})
-    with sensor(effects=path, **PARAMETERS) as (_, client):
-        slippery = slide(LockstepPress(client))
-    drags = [
-        abs(frames[-1].force_n()[0]) / frames[-1].force_n()[2] for frames in (slippery, plain[1])
-    ]
-    assert drags[0] < 0.6 * drags[1]
-
-
-def test_a_pose_offset_presses_deeper_and_says_where_the_indenter_is(
-    tmp_path: Path, plain: tuple[list[TactileFrame], list[TactileFrame]]
-) -> None:
-    path = overlay_at(tmp_path / "effects_overlay.yaml", {"pose_offset": {"z_m": -2e-4}})
-    with sensor(effects=path, **PARAMETERS) as (_, client):
-        first = LockstepPress(client).run()
-    for frame, other in zip(first[1:], plain[0][1:], strict=True):
-        assert frame.force_n()[2] > other.force_n()[2]
-        place, told = frame.indenter_m(), other.indenter_m()
-        assert place is not None
-        assert told is not None
-        assert place[2] == pytest.approx(told[2] - 2e-4)
 
 
 def test_a_gel_that_relaxes_only_by_the_overlay_goes_on_in_real_time(tmp_path: Path) -> None:
@@ -119,33 +78,6 @@ def test_a_gel_that_relaxes_only_by_the_overlay_goes_on_in_real_time(tmp_path: P
         arrived = client.next_frame(lambda frame: frame.indenter_m() == pytest.approx(deep))
         peak_n = arrived.force_n()[2]
         client.next_frame(lambda frame: 0.0 < frame.force_n()[2] < 0.9 * peak_n)
-
-
-BROKEN = {
-    "no file": (None, "cannot start: no overlay of effects at"),
-    "an unknown effect": ({"ghost": {"size": 1.0}}, "unknown effect 'ghost'; known are"),
-    "out of range": ({"force_scale": {"scale": 3.0}}, "force_scale.scale is 3, expected 0.8"),
-}
-
-
-@pytest.fixture(scope="module")
-def refusals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Return the log of a start with each of the broken overlays."""
-    folder = tmp_path_factory.mktemp("overlays")
-    starts = {}
-    for name, (effects, _) in BROKEN.items():
-        path = folder / f"{name.replace(' ', '_')}.yaml"
-        if effects is not None:
-            overlay_at(path, effects)
-        starts[name] = with_parameters({"effects": path})
-    return refused_starts(TactileSim, starts)
-
-
-@pytest.mark.parametrize("name", BROKEN)
-def test_a_broken_overlay_ends_the_node_with_the_reason(
-    refusals: dict[str, str], name: str
-) -> None:
-    assert BROKEN[name][1] in refusals[name]
 
 
 def test_an_effect_of_ones_own_is_found_in_its_folder(tmp_path: Path) -> None:

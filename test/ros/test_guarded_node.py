@@ -18,11 +18,11 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from msg_adapters import Level
 
 
-class Fragile(GuardedNode):
+class Fragile(WorkingNode):
     """Fails at every message and every call but those that say "well"."""
 
     def __init__(self, context: rclpy.Context) -> None:
@@ -65,12 +65,12 @@ def wait(is_reached) -> None:
 def test_a_message_that_breaks_a_callback_is_counted_and_the_next_one_heard(
     fragile: Fragile, answered
 ) -> None:
-    assert fragile.failure_status() == []
+    assert fragile.failures.statuses("fragile") == []
     wait(lambda: fragile.words.get_subscription_count() > 0)
     for word in ("ill", "ill", "well"):
         fragile.words.publish(String(data=word))
     wait(lambda: fragile.heard)
-    (status,) = fragile.failure_status()
+    (status,) = fragile.failures.statuses("fragile")
     assert (status.name, status.level) == ("fragile: callbacks", Level.WARN)
     assert status.values["failures"] == "2"
     answered(status.message)
@@ -143,7 +143,7 @@ def test_an_input_takes_what_its_publishers_offer(fragile: Fragile, answered) ->
     strong.publish(String(data="strong"))
     wait(lambda: "strong" in heard)
     assert fragile.count_subscribers("latched") == 1
-    assert fragile.failure_status() == []
+    assert fragile.failures.statuses("fragile") == []
 
     # What cannot be asked for less is reported, with what cures it.
     lossless = QoSProfile(
@@ -151,8 +151,8 @@ def test_an_input_takes_what_its_publishers_offer(fragile: Fragile, answered) ->
     )
     fragile.create_subscription(String, "hurried", lambda m: heard.append(m.data), lossless)
     slow = fragile.create_publisher(String, "hurried", 10)
-    wait(fragile.failure_status)
-    (status,) = fragile.failure_status()
+    wait(lambda: fragile.failures.statuses("fragile"))
+    (status,) = fragile.failures.statuses("fragile")
     assert "nothing comes on hurried: a publisher offers another deadline" in status.message
     assert "qos_overrides./hurried.subscription.deadline" in status.message
     assert not slow.get_subscription_count()

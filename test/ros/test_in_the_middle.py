@@ -123,7 +123,7 @@ def test_stamps_go_up_and_no_frame_is_written_twice(scene: Scene) -> None:
     assert all(np.diff(stamps) > 0)
 
 
-@pytest.mark.parametrize("attempt", range(4))
+@pytest.mark.parametrize("attempt", range(2))
 def test_no_frame_of_before_is_written_after_the_answer_to_a_reset(
     scene: Scene, attempt: int
 ) -> None:
@@ -135,10 +135,7 @@ def test_no_frame_of_before_is_written_after_the_answer_to_a_reset(
     assert_nothing_stale_after(scene, answered_ns)
 
 
-@pytest.mark.parametrize("attempt", range(2))
-def test_no_frame_of_before_is_written_after_the_indenter_was_changed(
-    scene: Scene, attempt: int
-) -> None:
+def test_no_frame_of_before_is_written_after_the_indenter_was_changed(scene: Scene) -> None:
     caller = scene.client.node.create_client(
         SetParametersAtomically, "/tactile_sim/set_parameters_atomically"
     )
@@ -170,7 +167,7 @@ def test_no_frame_at_all_is_written_after_the_answer_to_a_disable(scene: Scene) 
     assert_nothing_stale_after(scene, answered_ns)
 
 
-def test_a_image_that_takes_longer_than_a_frame_drops_frames_and_counts_them(
+def test_an_image_that_takes_longer_than_a_frame_drops_frames_and_counts_them(
     scene: Scene,
 ) -> None:
     client = scene.client
@@ -183,11 +180,10 @@ def test_a_image_that_takes_longer_than_a_frame_drops_frames_and_counts_them(
     assert int(after["frames"]) > int(before["frames"])
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_a_signal_in_the_middle_of_a_slide_ends_it_with_status_0(count: int) -> None:
+def test_two_signals_in_the_middle_of_a_slide_end_it_with_status_0() -> None:
     with sensor(grid_spacing_m=0.0048) as (node, client):
         start_sliding(client)
-        assert node.interrupt(count) == 0, node.log
+        assert node.interrupt(2) == 0, node.log
         assert "Traceback" not in node.log
 
 
@@ -212,7 +208,8 @@ sys.exit(run_node(TactileSim))
 
 @pytest.mark.parametrize("method", ["press", "see"])
 def test_a_bug_in_the_frames_ends_the_node_with_status_1(method: str) -> None:
-    with running(code=BREAKS.format(method=method)) as node:
+    coarse = {"grid_spacing_m": 0.0048}
+    with running(code=BREAKS.format(method=method), parameters=coarse) as node:
         client = Client()
         try:
             # The gel is pressed for a pose only, the image made for its reader only.

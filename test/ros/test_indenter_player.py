@@ -113,19 +113,6 @@ def test_scripted_press_arrives_whole_and_in_order():
     assert {message.header.frame_id for message in listener.poses} == {"densetact_base"}
 
 
-@pytest.mark.parametrize(
-    ("source", "parameters"),
-    [
-        ("slide", {"slide_distance_m": 0.003, "tilt_deg": 20.0}),
-        ("twist", {"twist_angle_deg": 10.0}),
-    ],
-)
-def test_other_scripts_play(source, parameters):
-    with listening() as listener:
-        played(listener, source=source, depth_m=0.001, rate_hz=50.0, **parameters)
-    assert set(np.diff(listener.stamps_ns())[:-1]) == {20_000_000}
-
-
 def test_real_presses_play_in_the_order_asked_for():
     numbers = [3, 0]
     with listening() as listener:
@@ -139,23 +126,13 @@ def test_real_presses_play_in_the_order_asked_for():
         )
     positions = listener.positions_m()
     recording = read_presses(parameter_path("presses/densetact_presses.npz"))
-    deepest = [
-        int(
-            np.argmin(
-                np.linalg.norm(
-                    positions
-                    - recording[number]
-                    .poses(outer_radius_m=RADIUS_M, indenter_radius_m=0.003)[-1]
-                    .position_m,
-                    axis=1,
-                )
-            )
-        )
+    ends = [
+        recording[number].poses(outer_radius_m=RADIUS_M, indenter_radius_m=0.003)[-1].position_m
         for number in numbers
     ]
-    for number, index in zip(numbers, deepest, strict=True):
-        end = recording[number].poses(outer_radius_m=RADIUS_M, indenter_radius_m=0.003)[-1]
-        assert np.linalg.norm(positions[index] - end.position_m) < 1e-3
+    away_m = [np.linalg.norm(positions - end_m, axis=1) for end_m in ends]
+    deepest = [int(np.argmin(each)) for each in away_m]
+    assert max(each.min() for each in away_m) < 1e-3
     assert deepest == sorted(deepest)
     # No jump: at 100 Hz and at most 50 mm/s, half a millimetre a pose.
     assert np.linalg.norm(np.diff(positions, axis=0), axis=1).max() < 0.51e-3
@@ -212,15 +189,14 @@ def test_lockstep_goes_on_without_an_answer():
     assert "no wrench answers" in log
 
 
-@pytest.mark.parametrize("interrupts", [1, 2])
-def test_loop_goes_on_until_it_is_interrupted(interrupts):
+def test_loop_goes_on_until_it_is_interrupted():
     parameters = {"loop": "true", "depth_m": 0.0002, "clearance_m": 0.0003, "hold_s": 0.0}
     with (
         listening() as listener,
         running(MODULE, ready="ready:", parameters=parameters) as player,
     ):
         listener.wait_for(60)  # a pass holds 21
-        assert player.interrupt(interrupts) == 0, player.log
+        assert player.interrupt(2) == 0, player.log
     assert "Traceback" not in player.log
     assert (np.diff(listener.stamps_ns()) > 0).all()
 

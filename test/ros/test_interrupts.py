@@ -20,8 +20,8 @@ from harness import START_PATIENCE_S, check_interrupts
 @pytest.mark.parametrize(
     ("node", "count", "parameters"),
     [
-        ("indenter_player", 4, {"loop": "true", "wait_for_subscriber_s": 0.0}),
-        ("xarm_sim", 4, {}),
+        ("indenter_player", 2, {"loop": "true", "wait_for_subscriber_s": 0.0}),
+        ("xarm_sim", 2, {}),
         ("tactile_policy", 2, {"policy": "densetact2_sphere"}),
         ("tactile_sim", 2, {"grid_spacing_m": 0.0048}),
     ],
@@ -35,7 +35,7 @@ def test_a_node_ends_at_the_first_sigint(
 def test_a_recorder_ends_at_the_first_sigint(tmp_path: Path) -> None:
     topics = {"topics": "['wrench']"}
     check_interrupts(
-        "tactile_record", count=4, ready="recording", parameters=topics, output=tmp_path
+        "tactile_record", count=2, ready="recording", parameters=topics, output=tmp_path
     )
 
 

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from harness import APEX_M, START_PATIENCE_S, Client, Executable, running, sensor
+from harness import APEX_M, START_PATIENCE_S, Client, Executable, running
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 NODE = "/tactile_sim"
 PERIOD_S = 0.1
@@ -108,16 +108,38 @@ def test_frames_come_while_the_node_is_active_alone() -> None:
         assert "Traceback" not in executable.log
 
 
-@pytest.mark.fault(
-    "node parameters", "a managed node is configured with a sensor that is not there"
-)
-def test_a_configuration_that_fails_is_told_and_can_be_mended(answered: Any) -> None:
+@pytest.mark.fault("node parameters", "a managed node cannot make a transition")
+def test_a_transition_that_cannot_be_made_is_refused_and_what_fails_can_be_corrected(
+    answered: Any,
+) -> None:
     with managed(sensor="no_such_sensor") as (executable, client):
+        assert not change(client, "activate")
+        executable.wait_for_line("expected configure (1), shutdown (5)")
+        answered(
+            executable.log.rpartition("]: ")[2],
+            what="a managed node is activated before it is configured",
+        )
+        assert not change(client, "no_such_transition")
+        for number in (0, 4, 255):
+            transition = Transition(id=number)
+            answer = client.call(ChangeState, f"{NODE}/change_state", transition=transition)
+            assert not answer.success
+        offered = client.call(GetAvailableTransitions, f"{NODE}/get_available_transitions")
+        labels = [each.transition.label for each in offered.available_transitions]
+        assert labels == ["configure", "shutdown"]
+        for name in ("effects", "effects_folder", "camera_info_url", "autostart"):
+            # What runs programs, or writes files, is nothing for another node to choose.
+            value = True if name == "autostart" else "/tmp/of_somebody"
+            fixed = client.set_parameters(**{name: value})
+            assert (fixed.successful, "read-only" in fixed.reason) == (False, True)
         assert not change(client, "configure")
         executable.wait_for_line("the transition 'configure' is refused")
-        (line,) = [each for each in executable.log.splitlines() if "is refused" in each]
+        (line,) = [each for each in executable.log.splitlines() if "'configure' is ref" in each]
         assert "no sensor is named 'no_such_sensor', expected one of densetact2, " in line
-        answered(line.partition("]: ")[2].partition(";")[0])
+        answered(
+            line.partition("]: ")[2].partition(";")[0],
+            what="a managed node is configured with a sensor that is not there",
+        )
         assert state(client) == "unconfigured"
         # Two that contradict each other, and then another fault, late: the topics are made.
         assert client.set_parameters(sensor="densetact2", base_frame="indenter").successful
@@ -131,32 +153,6 @@ def test_a_configuration_that_fails_is_told_and_can_be_mended(answered: Any) -> 
         assert change(client, "configure"), executable.log
         assert change(client, "activate")
         client.next_frame(lambda frame: True)
-
-
-@pytest.mark.fault("node parameters", "a managed node is activated before it is configured")
-def test_a_transition_that_the_state_does_not_have_is_refused_and_the_node_goes_on(
-    answered: Any,
-) -> None:
-    with managed() as (executable, client):
-        assert not change(client, "activate")
-        executable.wait_for_line("expected configure (1), shutdown (5)")
-        answered(executable.log.rpartition("]: ")[2])
-        assert not change(client, "no_such_transition")
-        for number in (0, 4, 8, 99, 255):
-            transition = Transition(id=number)
-            answer = client.call(ChangeState, f"{NODE}/change_state", transition=transition)
-            assert not answer.success
-        assert state(client) == "unconfigured"
-        offered = client.call(GetAvailableTransitions, f"{NODE}/get_available_transitions")
-        labels = [each.transition.label for each in offered.available_transitions]
-        assert labels == ["configure", "shutdown"]
-        for name in ("effects", "effects_folder", "camera_info_url"):
-            # What runs programs, or writes files, is nothing for another node to choose.
-            fixed = client.set_parameters(**{name: "/tmp/of_somebody"})
-            assert (fixed.successful, "read-only" in fixed.reason) == (False, True)
-        assert not client.set_parameters(autostart=True).successful
-        assert executable.interrupt() == 0
-        assert "Traceback" not in executable.log
 
 
 def test_cleaned_up_it_becomes_another_sensor_with_another_clock_and_ends_when_shut_down() -> None:
@@ -199,15 +195,3 @@ def test_cleaned_up_it_becomes_another_sensor_with_another_clock_and_ends_when_s
         assert not change(client, "configure")
         assert executable.interrupt() == 0, executable.log
         assert "Traceback" not in executable.log
-
-
-def test_a_node_that_has_started_by_itself_can_be_managed_too() -> None:
-    with sensor(**FRAME, diagnostics_period_s=PERIOD_S) as (executable, client):
-        assert state(client) == "active"
-        client.next_frame(lambda frame: True)
-        assert change(client, "deactivate")
-        assert client.call(SetBool, f"{NODE}/set_enabled", data=True).success
-        assert frames_stay_away(client)
-        assert change(client, "activate")
-        client.next_frame(lambda frame: True)
-        assert executable.interrupt() == 0, executable.log

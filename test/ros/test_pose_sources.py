@@ -400,31 +400,6 @@ def test_the_force_goes_back_to_the_links(source: tuple[Executable, SimulatorPre
     assert heard["peg::link"].entity.type == heard["peg::link"].entity.LINK
 
 
-# Alone: next to other nodes half a minute went by in which no frame came whole.
-@pytest.mark.timed
-def test_with_the_parameters_and_remaps_of_a_launch_file_it_reads_the_simulators_topic() -> None:
-    topic = "/simulator/floating_base_state"
-    shipped = ("--params-file", "simulators/mujoco_ros2_control.yaml")
-    given = {"pose_source": "odometry", "base_frame": "odom", "indenter_frame": "peg"}
-    remap = ("-r", f"indenter/odometry:={topic}")
-    with running(parameters=given, arguments=(*shipped, *remap)):
-        client = Client()
-        try:
-            # The name of a node comes on its own way.
-            client.wait(
-                lambda: (
-                    [
-                        (reader.node_name, reader.topic_type)
-                        for reader in client.node.get_subscriptions_info_by_topic(topic)
-                    ]
-                    == [("tactile_sim", "nav_msgs/msg/Odometry")]
-                ),
-                "the one reader",
-            )
-        finally:
-            client.close()
-
-
 REFUSED = {
     "pose_source:=tf": ("tf2_msgs", "message package 'tf2_msgs' is not installed"),
     "entity_sensor:='arm::tool'": (

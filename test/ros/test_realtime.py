@@ -13,6 +13,8 @@ import psutil
 import pytest
 from geometry_msgs.msg import TwistStamped
 from harness import APEX_M, BASE_FRAME, Client, Executable, TactileFrame, sensor
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
@@ -78,6 +80,8 @@ def test_every_topic_of_a_frame_has_its_stamp_and_the_right_form(session: Sessio
     client.wait(frame.indenter_m, "the indenter's state")
     assert frame.indenter_m() == [0.0, 0.0, APEX_M - 0.001]
     check_depth_is_along_the_axis(depth_m, cloud.position)
+    assert client.state("frames").values["profile"] == "realtime"
+    assert "profile realtime" in session[0].log
 
 
 def check_depth_is_along_the_axis(depth_m: np.ndarray, skin_m: np.ndarray) -> None:
@@ -99,13 +103,6 @@ def test_no_socket_is_open_to_other_machines_and_none_listens(session: Session) 
     sockets = psutil.Process(session[0].process.pid).net_connections("inet")
     assert {each.laddr.ip for each in sockets} == {"127.0.0.1"}
     assert not [each for each in sockets if each.status == psutil.CONN_LISTEN]
-
-
-def test_a_held_pose_gives_the_same_frame_again_and_again(session: Session) -> None:
-    client = session[1]
-    pressed = press(client, 0.001)
-    later = client.next_frame(lambda frame: frame.stamp_ns > pressed.stamp_ns + 200_000_000)
-    assert later.is_same(pressed)
 
 
 def test_a_silent_input_is_told_and_the_next_press_is_that_of_a_fresh_start(
@@ -262,14 +259,6 @@ def test_a_subscriber_that_never_reads_stops_nobody(session: Session) -> None:
         with_deaf.close()
 
 
-def test_reset_brings_the_gel_to_rest(session: Session) -> None:
-    client = session[1]
-    first = press(client, 0.001)
-    assert client.call(Trigger, "/tactile_sim/reset").success
-    client.next_frame(is_at_rest)
-    assert press(client, 0.001).is_same(first)
-
-
 def test_calibrate_idle_is_refused_in_contact_and_done_without(session: Session) -> None:
     client = session[1]
     press(client, 0.001)
@@ -362,3 +351,20 @@ def test_the_indenter_can_be_changed_and_changed_back(session: Session) -> None:
     assert 0.0 < small.force_n()[2] < sphere.force_n()[2]
     assert client.set_parameters(indenter="sphere_4mm").successful
     assert press(client, 0.001).is_same(sphere)
+
+
+def test_a_node_that_has_started_by_itself_can_be_managed_too(session: Session) -> None:
+    executable, client = session
+
+    def change(label: str) -> None:
+        transition = Transition(label=label)
+        assert client.call(ChangeState, "/tactile_sim/change_state", transition=transition).success
+
+    change("deactivate")
+    assert client.call(SetBool, "/tactile_sim/set_enabled", data=True).success
+    client.wait_for_state("frames", lambda state: "inactive: activate the node" in state.message)
+    count = frames_so_far(client)
+    assert frames_so_far(client) == count
+    change("activate")
+    client.next_frame(lambda frame: True)
+    assert executable.interrupt() == 0, executable.log

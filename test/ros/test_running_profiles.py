@@ -8,33 +8,6 @@ from __future__ import annotations
 from harness import APEX_M, sensor
 
 
-def test_realtime_is_the_profile_of_the_realtime_clock() -> None:
-    with sensor(diagnostics_period_s=0.1) as (executable, client):
-        client.wait_for_state("frames", lambda state: state.values["profile"] == "realtime")
-        assert "profile realtime" in executable.log
-        refused = client.set_parameters(profile="fast")
-        assert not refused.successful
-        assert "read-only" in refused.reason
-
-
-def test_exact_takes_any_motion_in_one_frame() -> None:
-    with sensor(profile="exact", diagnostics_period_s=0.1, rate_hz=2.0, input_timeout_s=0.6) as (
-        _,
-        client,
-    ):
-        start_m, end_m = [0.0, 0.0, APEX_M + 0.0002], [0.0, 0.0, APEX_M - 0.002]
-        client.send((0.0, 0.0, start_m[2]))
-        begun = client.next_frame(lambda frame: frame.indenter_m() == start_m)
-        client.send((0.0, 0.0, end_m[2]))
-        client.next_frame(lambda frame: frame.indenter_m() == end_m)
-        shown = {
-            tuple(frame.indenter_m())
-            for stamp_ns, frame in list(client.frames.items())
-            if stamp_ns > begun.stamp_ns and frame.indenter_m() is not None
-        }
-        assert shown <= {tuple(start_m), tuple(end_m)}
-
-
 def test_auto_tells_its_profile_and_goes_down_when_frames_miss_their_deadline() -> None:
     # First slow enough for a busy machine to begin with an exact profile; then far beyond what any
     # machine computes: every frame of a motion misses its deadline.

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from harness import APEX_M, Client, LockstepPress, refused_starts, sensor, with_parameters
+from harness import APEX_M, Client, LockstepPress, sensor
 from sensor_msgs.msg import PointCloud2
 
 import msg_adapters
 from dotsim_ros.geometry.camera import Camera
-from dotsim_ros.nodes.tactile_sim.node import TactileSim
 from dotsim_ros.specification import load_sensor, sensor_path
 
 LOCKSTEP = {"clock": "lockstep", "diagnostics_period_s": 0.1}
@@ -93,25 +92,3 @@ def test_the_sensors_noise_is_published_unless_the_parameter_is_set(noisy_sensor
         assert not np.array_equal(first, second)
         assert client.set_parameters(image_noise_levels=-1.0).successful
         assert (idle_image(client, 10**10 + 5 * 10**9) - clean)[lit].std() > 2.0
-
-
-@pytest.fixture(scope="module")
-def refusals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Return the log of each start that must be refused."""
-    path = tmp_path_factory.mktemp("sensor") / "millimetres.yaml"
-    path.write_text("gel: {outer_radius_m: 15.75}\n")
-    starts = {"millimetres": {"sensor": path}, "grid": {"grid_spacing_m": 0.0005}}
-    return refused_starts(
-        TactileSim, {name: with_parameters(given) for name, given in starts.items()}
-    )
-
-
-def test_a_sensor_in_millimetres_is_refused_with_what_was_meant(refusals: dict[str, str]) -> None:
-    log = refusals["millimetres"]
-    assert "gel.outer_radius_m is 15.75, expected a number from 0.001 to 0.2 m" in log
-    assert "did you mean 0.01575 (metres)?" in log
-    assert "Traceback" not in log
-
-
-def test_a_grid_that_no_machine_holds_is_refused(refusals: dict[str, str]) -> None:
-    assert "GB of memory, expected at most 16 GB" in refusals["grid"]

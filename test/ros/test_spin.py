@@ -13,10 +13,10 @@ from harness import Executable
 
 SLOW_TO_START = """
 import sys, time
-from rclpy.node import Node
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
 
-class Slow(Node):
+class Slow(WorkingNode):
     def __init__(self):
         super().__init__("slow")
         print("starting", flush=True)
@@ -27,10 +27,10 @@ sys.exit(run_node(Slow))
 
 SLOW_TO_STOP = """
 import sys, time
-from rclpy.node import Node
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
 
-class Slow(Node):
+class Slow(WorkingNode):
     def __init__(self):
         super().__init__("slow")
         self.timer = self.create_timer(0.01, self.tell)
@@ -49,7 +49,8 @@ sys.exit(run_node(Slow))
 
 SLOW_TO_BEGIN = """
 import sys, threading, time
-from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.node import WorkingNode
+from dotsim_ros.nodes.common.spin import run_node
 
 class Slow(WorkingNode):
     def __init__(self):
@@ -74,11 +75,11 @@ sys.exit(run_node(Slow))
 
 ENDS_ITSELF = """
 import sys
-from rclpy.node import Node
+from dotsim_ros.nodes.common.node import WorkingNode
 from rclpy.utilities import try_shutdown
 from dotsim_ros.nodes.common.spin import run_node
 
-class Short(Node):
+class Short(WorkingNode):
     def __init__(self):
         super().__init__("short")
         self.exit_status = 3
@@ -89,10 +90,10 @@ sys.exit(run_node(Short))
 
 BREAKS = """
 import sys
-from rclpy.node import Node
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
 
-class Wrong(Node):
+class Wrong(WorkingNode):
     def __init__(self):
         super().__init__("wrong")
         self.create_timer(0.01, self.fail)
@@ -111,17 +112,16 @@ def started(code):
     return executable
 
 
-@pytest.mark.parametrize("gap_s", [0.0, 0.05])
 @pytest.mark.parametrize(
     "code",
     [SLOW_TO_START, SLOW_TO_BEGIN, SLOW_TO_STOP],
     ids=["starting", "beginning", "stopping"],
 )
-def test_doubled_interrupt_ends_cleanly(code, gap_s):
+def test_doubled_interrupt_ends_cleanly(code):
     executable = started(code)
     for _ in range(2):
         executable.process.send_signal(signal.SIGINT)
-        time.sleep(gap_s)
+        time.sleep(0.02)
     status, log = executable.exit_status(30.0), executable.log
     assert status == 0, log
     assert "Traceback" not in log
@@ -148,17 +148,3 @@ def test_bug_is_not_swallowed():
     )
     assert done.returncode == 1
     assert "RuntimeError: a bug" in done.stderr
-
-
-@pytest.mark.parametrize("told", [["-p", "nonsense"], ["--nonsense"]])
-def test_arguments_that_ros_cannot_read_are_refused(told):
-    done = subprocess.run(
-        [sys.executable, "-c", ENDS_ITSELF, "--ros-args", *told],
-        timeout=60,
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 2
-    assert "cannot start" in done.stderr
-    assert "nonsense" in done.stderr

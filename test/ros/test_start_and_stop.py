@@ -10,10 +10,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from geometry_msgs.msg import TwistStamped
-from harness import APEX_M, Executable, refused_starts, sensor, with_parameters
+from harness import Executable, refused_starts, with_parameters
 
-import msg_adapters
+from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, write_overlay
 from dotsim_ros.nodes.tactile_sim.node import TactileSim
 
 REFUSED: dict[str, dict[str, object]] = {
@@ -27,18 +26,39 @@ REFUSED: dict[str, dict[str, object]] = {
     "lockstep shows each pose": {"profile": "fast", "clock": "lockstep"},
     "of type 'INTEGER', expecting type 'STRING': profile": {"profile": 3},
     "of type 'STRING_ARRAY', expecting type 'STRING': profile": {"profile": "[fast, auto]"},
+    "GB of memory, expected at most 16 GB": {"grid_spacing_m": 0.0005},
 }
 """Parameters that cannot work, by words of the reason."""
+OVERLAYS = {
+    "no overlay of effects at": None,
+    "unknown effect 'ghost'; known are": ("ghost", Estimate("size", "", 1.0, 1.0, 1.0)),
+    "force_scale.scale is 3, expected 0.8": (
+        "force_scale",
+        Estimate("scale", "", 3.0, 3.0, 3.0),
+    ),
+}
+"""Effects that cannot work, by words of the reason."""
+MILLIMETRES = "gel.outer_radius_m is 15.75, expected a number from 0.001 to 0.2 m; did you mean"
 
 
 @pytest.fixture(scope="module")
-def refusals() -> dict[str, str]:
+def refusals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Return the log of each start that must be refused, by words of the reason."""
-    starts = {reason: with_parameters(given) for reason, given in REFUSED.items()}
+    folder = tmp_path_factory.mktemp("refused")
+    given = dict(REFUSED)
+    for number, (reason, found) in enumerate(OVERLAYS.items()):
+        path = folder / f"{number}.yaml"
+        if found is not None:
+            effect = FoundEffect(found[0], (found[1],))
+            write_overlay(path, Overlay("densetact2", "0123456789abcdef", (effect,)))
+        given[reason] = {"effects": path}
+    given[MILLIMETRES] = {"sensor": folder / "millimetres.yaml"}
+    (folder / "millimetres.yaml").write_text("gel: {outer_radius_m: 15.75}\n")
+    starts = {reason: with_parameters(parameters) for reason, parameters in given.items()}
     return refused_starts(TactileSim, starts)
 
 
-@pytest.mark.parametrize("reason", REFUSED)
+@pytest.mark.parametrize("reason", [*REFUSED, *OVERLAYS, MILLIMETRES])
 def test_a_start_that_cannot_work_is_refused_with_the_reason(
     refusals: dict[str, str], reason: str
 ) -> None:
@@ -88,31 +108,3 @@ def test_a_home_that_cannot_be_written_ends_no_node(
     answered(line)
     (kept,) = (tmp_path / "temporary").glob("dotsim_ros-*")
     assert list(kept.glob("*.log"))
-
-
-def test_a_velocity_is_integrated_and_a_pose_beside_it_refused() -> None:
-    with sensor(
-        diagnostics_period_s=0.1, start_position_m=[0.0, 0.0, APEX_M], grid_spacing_m=0.0048
-    ) as (_, client):
-        twists = client.node.create_publisher(TwistStamped, "indenter/twist", 10)
-        client.wait(lambda: twists.get_subscription_count() > 0, "the velocity's reader")
-
-        def push() -> bool:
-            twists.publish(
-                msg_adapters.encode_twist_stamped(
-                    (0.0, 0.0, -0.001),
-                    (0.0, 0.0, 0.0),
-                    stamp_ns=client.now_ns(),
-                    frame_id="indenter",
-                )
-            )
-            return any(
-                frame.force_n()[2] > 0.0
-                for frame in list(client.frames.values())
-                if frame.is_whole()
-            )
-
-        client.wait(push, "a force from a velocity")
-        client.send((0.0, 0.0, APEX_M + 0.05))
-        state = client.wait_for_state("input", lambda state: state.values["both_inputs"] == "1")
-        assert "indenter/pose comes while indenter/twist" in state.values["last_fault"]

@@ -12,7 +12,7 @@ import yaml
 from launched import started
 
 from dotsim_ros.io.files import parameter_path
-from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.common.parameters import from_values, known_parameters, values_of
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
@@ -34,11 +34,11 @@ def test_every_section_of_the_parameters_is_valid_for_its_node() -> None:
     for name, kind in CLASSES.items():
         given: dict[str, Any] = content[f"/**/{name}"]["ros__parameters"]
         plain = {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
-        parameters = kind(**plain)
+        parameters = from_values(kind, plain)
         for field in plain:
-            assert option_of(kind.__dataclass_fields__[field]).description
+            assert known_parameters(kind)[field][1].help
             # ROS refuses an int for a float, which the class itself would take.
-            assert type(plain[field]) is type(getattr(kind(), field)), field
+            assert type(plain[field]) is type(values_of(kind())[field]), field
         assert parameters
 
 

@@ -139,8 +139,7 @@ def frame(index):
     }
 
 
-@pytest.mark.parametrize("interrupts", [1, 2])
-def test_everything_that_is_published_is_in_the_bag(tmp_path, interrupts):
+def test_everything_that_is_published_is_in_the_bag(tmp_path):
     path = tmp_path / "bag"
     frames = [frame(index) for index in range(COUNT)]
     with (
@@ -154,7 +153,7 @@ def test_everything_that_is_published_is_in_the_bag(tmp_path, interrupts):
         source.deliver()
         assert not path.exists()
         recorder.wait_for_line(f" {COUNT * len(TOPICS)} messages so far")
-        assert recorder.interrupt(interrupts) == 0, recorder.log
+        assert recorder.interrupt(2) == 0, recorder.log
     assert f"wrote {COUNT * len(TOPICS)} messages" in recorder.log
     assert "0 dropped, 0 lost" in recorder.log
     assert "Traceback" not in recorder.log
@@ -197,42 +196,6 @@ def test_what_is_published_without_delivery_is_recorded(tmp_path, answered):
     assert images
     assert images[0].data.tobytes() == frame(0)["image_raw"].data.tobytes()
     answered(next(line for line in recorder.log.splitlines() if "best_effort" in line))
-
-
-def test_chosen_topics_only(tmp_path):
-    parameters = {
-        "output": tmp_path / "bag",
-        "topics": "['wrench','indenter/pose=geometry_msgs/msg/PoseStamped']",
-    }
-    with (
-        sending() as source,
-        recording(**parameters) as recorder,
-    ):
-        source.meet("wrench", "indenter/pose")
-        for topic, message in frame(0).items():
-            source.send(topic, message)
-        source.deliver()
-        recorder.wait_for_line(" 2 messages so far")
-        assert recorder.interrupt() == 0, recorder.log
-    with BagReader(tmp_path / "bag") as bag:
-        assert set(bag.topics()) == {"/wrench", "/indenter/pose"}
-    assert "no message came" not in recorder.log
-
-
-def test_topics_without_a_message_are_named_at_the_end(tmp_path):
-    with (
-        sending() as source,
-        recording(output=tmp_path / "bag") as recorder,
-    ):
-        source.meet("wrench", "indenter/pose")
-        messages = frame(0)
-        for topic in ("wrench", "indenter/pose"):
-            source.send(topic, messages[topic])
-        source.deliver()
-        recorder.wait_for_line(" 2 messages so far")
-        assert recorder.interrupt() == 0, recorder.log
-    (line,) = [line for line in recorder.log.splitlines() if "no message came on" in line]
-    assert "/image_raw, /camera_info, /depth/image, /points, /indenter/state: name" in line
 
 
 def test_what_the_disk_does_not_take_is_dropped_and_told(tmp_path):
@@ -316,25 +279,6 @@ def last_words(recorder):
     return recorder.log.strip().splitlines()[-1].partition("]: ")[2]
 
 
-@pytest.mark.fault("recording", "one message with a negative stamp among a hundred good ones")
-def test_a_stamp_that_is_no_time_costs_no_message(tmp_path, answered):
-    path = tmp_path / "bag"
-    with sending() as source, recording(output=path, topics="['wrench']") as recorder:
-        source.meet("wrench")
-        source.send_forces(range(100))
-        source.send("wrench", wrench(100, stamp_s=-5))
-        source.send("wrench", wrench(101))
-        source.deliver()
-        recorder.wait_for_line(" 102 messages so far")
-        assert recorder.interrupt() == 0, recorder.log
-    assert "wrote 102 messages" in recorder.log
-    assert "Traceback" not in recorder.log
-    assert forces_of(path) == [float(number) for number in range(102)]
-    (line,) = [line for line in recorder.log.splitlines() if "no time" in line]
-    assert "1 messages have a stamp that is no time (/wrench 1)" in line
-    answered(line.partition("]: ")[2])
-
-
 @pytest.fixture
 def heeded_hangup():
     """Let processes that a test starts heed SIGHUP, which nohup has those ignore that it starts."""
@@ -344,16 +288,32 @@ def heeded_hangup():
 
 
 @pytest.mark.usefixtures("heeded_hangup")
-def test_closed_terminal_ends_a_recording_well(tmp_path):
+@pytest.mark.fault("recording", "one message with a negative stamp among a hundred good ones")
+def test_chosen_topics_up_to_the_end_of_the_terminal_with_a_stamp_that_is_no_time(
+    tmp_path, answered
+):
     path = tmp_path / "bag"
-    with sending() as source, recording(output=path, topics="['wrench']") as recorder:
-        source.meet("wrench")
-        source.send_forces(range(3))
+    topics = "['wrench','image_raw','indenter/pose=geometry_msgs/msg/PoseStamped']"
+    with sending() as source, recording(output=path, topics=topics) as recorder:
+        source.meet("wrench", "indenter/pose")
+        source.send_forces(range(100))
+        source.send("wrench", wrench(100, stamp_s=-5))
+        source.send("wrench", wrench(101))
+        for topic in ("indenter/pose", "indenter/state"):
+            source.send(topic, frame(0)[topic])
         source.deliver()
-        recorder.wait_for_line(" 3 messages so far")
+        recorder.wait_for_line(" 103 messages so far")
         recorder.process.send_signal(signal.SIGHUP)
         assert recorder.exit_status() == 0, recorder.log
-    assert forces_of(path) == [0.0, 1.0, 2.0]
+    assert "wrote 103 messages" in recorder.log
+    assert "Traceback" not in recorder.log
+    assert forces_of(path) == [float(number) for number in range(102)]
+    with BagReader(path) as bag:
+        assert set(bag.topics()) == {"/wrench", "/indenter/pose"}
+    assert "no message came on /image_raw: name the topics" in recorder.log
+    (line,) = [line for line in recorder.log.splitlines() if "no time" in line]
+    assert "1 messages have a stamp that is no time (/wrench 1)" in line
+    answered(line.partition("]: ")[2])
 
 
 @pytest.mark.fault("recording", "the recorder is killed (SIGKILL) after a second")

@@ -293,7 +293,7 @@ def test_an_unstamped_topic_has_no_time(steps: Session, answered: Callable[..., 
 
 
 REFUSED = {
-    "`period_s` is 0": ({"period_s": 0.0}, "", "period_s is 0, expected"),
+    "`period_s` is 0": ({"period_s": 0.0}, "", "period_s out of range"),
     "`use_sim_time` on the stepper itself": (SIMULATED, "", "unset it on this node"),
     "a file of no participants": ({}, "  []\n", "participants names no node"),
     "a period between two steps": (

@@ -311,7 +311,7 @@ def test_a_process_that_was_held_up_makes_no_jump(session: Session) -> None:
     ("values", "reason"),
     [
         ({"fail_delay_s": 3.0}, "fail_delay_s"),
-        ({"indenter_pose": [0.0, 0.0, 0.0]}, "indenter_pose needs 7 numbers"),
+        ({"indenter_pose": [0.0, 0.0, 0.0]}, "expected 7 numbers"),
         ({"start_pose": [0.4, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]}, "read-only"),
     ],
 )

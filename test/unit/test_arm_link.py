@@ -12,7 +12,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros.io.files import parameter_path
-from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.common.parameters import known_parameters
 from dotsim_ros.nodes.xarm_adapter.link import Hindrance, LinkLimits, VelocityLink
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
 from msg_adapters import decode_robot_state, encode_move_velocity
@@ -230,6 +230,6 @@ def test_parameters_that_are_dangerous_or_contradict_are_refused(changes, reason
 def test_the_shipped_parameters_are_the_defaults_and_say_what_they_are():
     values = yaml.safe_load(parameter_path("xarm_adapter.yaml").read_text())["/**"]
     assert XarmAdapterParameters(**values["ros__parameters"]) == XarmAdapterParameters()
-    fields = dataclasses.fields(XarmAdapterParameters)
-    assert set(values["ros__parameters"]) == {field.name for field in fields}
-    assert all(option_of(field).description.endswith(".") for field in fields)
+    parameters = known_parameters(XarmAdapterParameters)
+    assert values["ros__parameters"].keys() == parameters.keys()
+    assert all(parameter.help.endswith(".") for _, parameter in parameters.values())

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from dotsim_ros.control.arm.simulated import ArmFaults, ArmLimits, ArmResponse
 from dotsim_ros.io.files import parameter_path
-from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.common.parameters import known_parameters
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
 from msg_adapters import BagTypes, decode_joint_state, encode_joint_state
 
@@ -24,9 +24,9 @@ def test_the_shipped_parameters_are_the_defaults_and_say_what_they_are():
     values = yaml.safe_load(parameter_path("xarm_sim.yaml").read_text())["/**"]["ros__parameters"]
     plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
     assert XarmSimParameters(**plain) == XarmSimParameters()
-    fields = dataclasses.fields(XarmSimParameters)
-    assert set(plain) == {field.name for field in fields}
-    assert all(option_of(field).description.endswith((".", "gel.")) for field in fields)
+    parameters = known_parameters(XarmSimParameters)
+    assert plain.keys() == parameters.keys()
+    assert all(parameter.help.endswith(".") for _, parameter in parameters.values())
 
 
 def test_the_defaults_of_the_node_are_those_of_the_arm():
@@ -39,7 +39,7 @@ def test_the_defaults_of_the_node_are_those_of_the_arm():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"start_pose": (0.0, 0.0)}, "start_pose needs 7 numbers"),
+        ({"start_pose": (0.0, 0.0)}, "start_pose is .* expected 7 numbers"),
         ({"tool_from_sensor": (0.0,) * 7}, "tool_from_sensor: quaternion_xyzw has length 0"),
         ({"indenter_pose": (np.nan,) + (0.0,) * 6}, "indenter_pose"),
         ({"speed_limit_m_s": 5.0}, "speed_limit_m_s"),

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
+pytest.importorskip("sensor_msgs", reason="needs ROS 2")
+
 import msg_adapters
-from dotsim_ros.nodes.tactile_sim.calibration_file import (
+from dotsim_ros.nodes.tactile_sim.camera_calibration import (
     path_of_url,
     read_calibration,
     write_calibration,
@@ -72,13 +74,11 @@ def test_urls_name_files(tmp_path):
     for wrong in ("camera.yaml", "http://host/camera.yaml", "file://", "package://", "flash:///"):
         with pytest.raises(ValueError, match=r"expected file:///PATH\.yaml"):
             path_of_url(wrong)
-    pytest.importorskip("ament_index_python")
     with pytest.raises(ValueError, match="no package 'no_such_package' is installed"):
         path_of_url("package://no_such_package/camera.yaml")
 
 
 def test_a_message_of_any_model_is_a_calibration_and_back():
-    pytest.importorskip("sensor_msgs")
     calibration = CameraCalibration(
         640,
         480,

@@ -7,7 +7,6 @@ checks of its links find what is broken."""
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import re
 import tomllib
@@ -24,7 +23,7 @@ from dotsim_ros.effects.effect import Active, Response, response_filters
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.common.parameters import known_parameters
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.nodes.tactile_sim.profiles import PROFILES
 from dotsim_ros.specification import load_sensor
@@ -115,12 +114,11 @@ def test_the_table_of_parameters_is_that_of_the_node() -> None:
         for cells in rows(section(text_of("run.md"), "Parameters"))
     }
     known = {}
-    for field in dataclasses.fields(TactileSimParameters):
-        default = field.default
+    for name, (default, parameter) in known_parameters(TactileSimParameters).items():
         if isinstance(default, tuple):
             default = ", ".join(f"{number:g}" for number in default)
         shown = str(default).lower() if isinstance(default, bool) else str(default)
-        known[field.name] = (not option_of(field).is_fixed, shown or "empty")
+        known[name] = (not parameter.fixed, shown or "empty")
     assert written == known
 
 

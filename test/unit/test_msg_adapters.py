@@ -26,7 +26,7 @@ WORLDS = [
     ),
 ]
 every_world = pytest.mark.parametrize("types", WORLDS)
-quick = settings(max_examples=40, deadline=None)
+quick = settings(max_examples=15, deadline=None)
 
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -69,13 +69,10 @@ def test_stamps_are_exact(types, stamp_ns):
     assert adapters.decode_stamp(adapters.encode_stamp(stamp_ns, types=types)) == stamp_ns
 
 
-@pytest.mark.parametrize("stamp_ns", [-1, 2**31 * 10**9])
-def test_stamp_out_of_range_is_refused(stamp_ns):
-    with pytest.raises(ValueError, match="outside"):
-        adapters.encode_stamp(stamp_ns, types=BAG_TYPES)
-
-
-def test_stamp_that_is_no_time_is_refused():
+def test_a_stamp_that_is_no_time_is_refused_both_ways():
+    for stamp_ns in (-1, 2**31 * 10**9):
+        with pytest.raises(ValueError, match="outside"):
+            adapters.encode_stamp(stamp_ns, types=BAG_TYPES)
     stamp = BAG_TYPES.make("builtin_interfaces/msg/Time", sec=1, nanosec=10**9)
     with pytest.raises(ValueError, match="no valid time"):
         adapters.decode_stamp(stamp)
@@ -89,23 +86,12 @@ def test_image_is_exact(types, image, stamp_ns, frame_id):
     message = adapters.encode_image(
         values, encoding=encoding, stamp_ns=stamp_ns, frame_id=frame_id, types=types
     )
+    if types is BAG_TYPES:
+        message = over_the_wire(message)
     decoded = adapters.decode_image(message)
     assert decoded.dtype == values.dtype
     assert decoded.tobytes() == values.tobytes()
     assert (message.header.frame_id, adapters.message_stamp_ns(message)) == (frame_id, stamp_ns)
-
-
-@quick
-@given(images, stamps)
-def test_image_is_exact_over_the_wire(image, stamp_ns):
-    encoding, values = image
-    message = over_the_wire(
-        adapters.encode_image(
-            values, encoding=encoding, stamp_ns=stamp_ns, frame_id="", types=BAG_TYPES
-        )
-    )
-    assert adapters.decode_image(message).tobytes() == values.tobytes()
-    assert adapters.message_stamp_ns(message) == stamp_ns
 
 
 @every_world
@@ -228,8 +214,7 @@ def encoded(rgb, encoding):
     return np.ascontiguousarray(rows).reshape(height, -1)
 
 
-@pytest.mark.parametrize("is_bigendian", [0, 1])
-@pytest.mark.parametrize("padding", [0, 6])
+@pytest.mark.parametrize(("padding", "is_bigendian"), [(0, 0), (6, 1)])
 @pytest.mark.parametrize("encoding", sorted(CAMERA_LAYOUTS))
 def test_colours_of_a_camera_are_right(encoding, padding, is_bigendian):
     rgb = HUES.repeat(8, axis=0).repeat(12, axis=1)
@@ -480,49 +465,22 @@ def test_cloud_of_any_layout_is_read(order, gaps, dtype, is_big, size, row_paddi
     assert np.array_equal(adapters.decode_cloud_fields(message)["intensity"], table["intensity"])
 
 
-def _rename(message):
-    message.fields[0].name = "y"
-
-
-def _unknown_type(message):
-    message.fields[0].datatype = 9
-
-
-def _too_far(message):
-    message.fields[2].offset = 10
-
-
-def _too_short(message):
-    message.data = message.data[:-1]
-
-
-def _short_row(message):
-    message.row_step = 3
-
-
-def _no_x(message):
-    message.fields[0].name = "a"
-
-
-def _not_dense(message):
-    message.data = np.full(24, 255, np.uint8)
-
-
 @pytest.mark.parametrize(
-    ("spoil", "reason"),
+    ("field", "change", "reason"),
     [
-        (_rename, "twice"),
-        (_unknown_type, "unknown type 9"),
-        (_too_far, "ends at byte 14"),
-        (_too_short, "holds 23 bytes"),
-        (_short_row, "too short"),
-        (_no_x, "expected x, y and z"),
-        (_not_dense, "is_dense"),
+        (0, {"name": "y"}, "twice"),
+        (0, {"datatype": 9}, "unknown type 9"),
+        (2, {"offset": 10}, "ends at byte 14"),
+        (None, {"data": np.zeros(23, np.uint8)}, "holds 23 bytes"),
+        (None, {"row_step": 3}, "too short"),
+        (0, {"name": "a"}, "expected x, y and z"),
+        (None, {"data": np.full(24, 255, np.uint8)}, "is_dense"),
     ],
 )
-def test_malformed_cloud_is_refused(spoil, reason):
+def test_malformed_cloud_is_refused(field, change, reason):
     message = adapters.encode_cloud(np.ones((2, 3)), stamp_ns=0, frame_id="", types=BAG_TYPES)
-    spoil(message)
+    for name, value in change.items():
+        setattr(message if field is None else message.fields[field], name, value)
     with pytest.raises(ValueError, match=reason):
         adapters.decode_cloud(message)
 
@@ -561,10 +519,7 @@ def test_twist_and_wrench_are_exact(types, first, second):
         assert (tuple(decoded[0]), tuple(decoded[1])) == (first, second)
 
 
-BAD_NUMBERS = [float("nan"), float("inf"), -float("inf")]
-
-
-@pytest.mark.parametrize("bad", BAD_NUMBERS)
+@pytest.mark.parametrize("bad", [float("nan"), -float("inf")])
 def test_numbers_that_are_not_finite_are_refused_both_ways(bad):
     stamped = {"stamp_ns": 1, "frame_id": "base", "types": BAG_TYPES}
     zero = (0.0, 0.0, 0.0)

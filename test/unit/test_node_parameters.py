@@ -10,9 +10,10 @@ import yaml
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.files import parameter_path
-from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.io.quantity import check_fields, quantity
+from dotsim_ros.nodes.common.parameters import from_values, known_parameters
 from dotsim_ros.nodes.tactile_sim.framing import Framing
-from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.parameters import FrameParameters, TactileSimParameters
 from dotsim_ros.specification import load_sensor
 
 
@@ -22,8 +23,10 @@ from dotsim_ros.specification import load_sensor
         ({"rate_hz": 0.0}, "rate_hz"),
         ({"rate_hz": float("nan")}, "rate_hz"),
         ({"clock": "sundial"}, "expected one of realtime, lockstep"),
-        ({"crop_px": (0, 0, 10)}, "crop_px needs 4 numbers"),
+        ({"crop_px": (0, 0, 10)}, "crop_px is .* expected 4 numbers"),
         ({"crop_px": (5, 0, 0, 0)}, "four zeros"),
+        ({"crop_px": (0.5, 0, 0, 0)}, "crop_px is .* expected 4 numbers"),
+        ({"ratehz": 5.0}, "ratehz: expected only sensor, device, indenter"),
         ({"image_size_px": (640, 0)}, "both width and height"),
         ({"grid_spacing_m": 1e-4}, r"grid_spacing_m is 0\.0001, expected a number from 0\.0002"),
         ({"start_quaternion_xyzw": (0.0, 0.0, 0.0, 0.5)}, "length"),
@@ -40,21 +43,39 @@ from dotsim_ros.specification import load_sensor
 )
 def test_bad_values_and_contradictions_are_refused_with_the_reason(changes, reason):
     with pytest.raises(ValueError, match=reason):
-        dataclasses.replace(TactileSimParameters(), **changes)
+        from_values(TactileSimParameters, changes)
+
+
+@dataclasses.dataclass(frozen=True)
+class Lists:
+    """Fields that hold lists."""
+
+    topics: tuple[str, ...] = quantity(("wrench",), help="Texts.")
+    numbers: tuple[int, ...] = quantity((-1,), help="Any.", low=-1, high=9, any_length=True)
+
+    def __post_init__(self) -> None:
+        check_fields("", self)
+
+
+def test_lists_may_hold_texts_and_be_of_any_length():
+    assert Lists(["a", "b"], [1, 2, 3]) == Lists(("a", "b"), (1, 2, 3))
+    for given, reason in (({"topics": (1,)}, "list of texts"), ({"numbers": (10,)}, "-1 to 9")):
+        with pytest.raises(ValueError, match=reason):
+            Lists(**given)
 
 
 def test_every_parameter_says_what_it_is():
-    for field in dataclasses.fields(TactileSimParameters):
-        assert option_of(field).description.endswith((".", "zeros: as it is.")), field.name
+    for name, (_, parameter) in known_parameters(TactileSimParameters).items():
+        assert parameter.help.endswith("."), name
 
 
 def test_the_shipped_file_holds_the_defaults():
     content = yaml.safe_load(parameter_path("tactile_sim.yaml").read_text())
     values = content["/**"]["ros__parameters"]
     plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-    parameters = TactileSimParameters(**plain)
+    parameters = from_values(TactileSimParameters, plain)
     assert parameters == TactileSimParameters()
-    assert set(plain) == {field.name for field in dataclasses.fields(TactileSimParameters)}
+    assert set(plain) == known_parameters(TactileSimParameters).keys()
 
 
 @pytest.mark.parametrize(
@@ -69,22 +90,22 @@ def test_the_files_for_drivers_hold_valid_parameters(name):
         values = {**common, **section}
         qualities = values.pop("qos_overrides", {})
         plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-        parameters = TactileSimParameters(**plain)
+        parameters = from_values(TactileSimParameters, plain)
         framings.add(
             Framing.of_camera(
-                Camera.from_specification(load_sensor(parameters.sensor).camera),
-                crop_px=parameters.crop_px,
-                image_size_px=parameters.image_size_px,
-                image_aspect=parameters.image_aspect,
+                Camera.from_specification(load_sensor(parameters.sensor.sensor).camera),
+                crop_px=parameters.image.crop_px,
+                image_size_px=parameters.image.image_size_px,
+                image_aspect=parameters.image.image_aspect,
             )
         )
-        topics = {parameters.image_topic, parameters.difference_topic}
+        topics = {parameters.topics.image_topic, parameters.topics.difference_topic}
         assert {name.removesuffix("/compressed") for name in qualities} <= topics
     assert len(framings) == 1
 
 
 def test_a_prefix_is_put_before_every_frame():
-    plain = TactileSimParameters(frame_prefix="left_")
+    plain = FrameParameters(frame_prefix="left_")
     assert plain.base_frame == "densetact_base"
     left = plain.prefixed()
     assert left.base_frame == "left_densetact_base"

@@ -36,29 +36,24 @@ def test_parameters_may_stand_below_namespaces(tmp_path: Path) -> None:
     check_parameter_file(str(path))
 
 
-@pytest.mark.fault("node parameters", "a launch's `params_file` that is not there")
-def test_a_launch_refuses_a_file_that_is_not_there(answered: Callable[..., None]) -> None:
-    with pytest.raises(ValueError, match="no node is started: no file") as caught:
-        check_params_file("closed_lop.yaml")
-    answered(caught.value)
+NAMES = {
+    "is not there": ("closed_lop.yaml", "no node is started: no file"),
+    "is empty": ("", "params_file is empty"),
+    "is a folder": ("params", "is a folder"),
+}
 
 
-@pytest.mark.fault("node parameters", "a launch's `params_file` that is empty")
-def test_a_launch_refuses_an_empty_name(answered: Callable[..., None]) -> None:
-    with pytest.raises(ValueError, match="params_file is empty") as caught:
-        check_params_file("")
-    answered(caught.value)
-
-
-@pytest.mark.fault("node parameters", "a launch's `params_file` that is a folder")
-def test_a_launch_refuses_a_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answered: Callable[..., None]
+@pytest.mark.fault("node parameters", "a launch's `params_file` that is no file")
+@pytest.mark.parametrize("what", NAMES)
+def test_a_launch_refuses_what_is_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, answered: Callable[..., None]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("params").mkdir()
-    with pytest.raises(ValueError, match="is a folder") as caught:
-        check_params_file("params")
-    answered(caught.value)
+    name, reason = NAMES[what]
+    with pytest.raises(ValueError, match=reason) as caught:
+        check_params_file(name)
+    answered(caught.value, what=f"a launch's `params_file` that {what}")
 
 
 @pytest.mark.fault("node parameters", "a launch's `params_file` that is no file of parameters")

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, program_of
+from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
+from dotsim_ros.nodes.indenter_player.program import program_of
 from dotsim_ros.specification import load_sensor
 
 DOMES, PADS = ("densetact2", "sensor_a"), ("digit", "flat_pad", "gelslim", "nine_dtact")

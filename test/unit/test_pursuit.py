@@ -75,7 +75,7 @@ def motions(draw):
     return poses, draw(st.lists(st.integers(0, 12), min_size=1, max_size=12))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(motions())
 def test_no_frame_is_deeper_than_any_pose_since_the_last_one(drawn):
     poses, per_frame = drawn

@@ -75,22 +75,6 @@ def test_everything_put_is_written(tmp_path):
     assert np.array_equal(wrench.force_n[:, 0], np.arange(200))
 
 
-def test_log_times_are_those_of_the_headers(tmp_path):
-    recording = BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=2**20)
-    recording.put(TOPIC, serialized(7))
-    recording.close()
-    with BagReader(tmp_path / "bag") as bag:
-        assert [message.log_time_ns for message in bag.messages(TOPIC)] == [10**9 + 7]
-
-
-def test_what_finds_the_queue_full_is_counted(tmp_path):
-    recording = BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=10)
-    assert not recording.put(TOPIC, serialized(0))
-    summary = recording.close()
-    assert summary.dropped == {TOPIC: 1}
-    assert list(tmp_path.iterdir()) == []
-
-
 def forces(path):
     with BagReader(path) as bag:
         return [item.message().wrench.force.x for item in bag.messages(TOPIC)]
@@ -117,7 +101,7 @@ def test_stamps_that_go_back_are_counted_since_times_then_lie_mixed_in_the_bag(t
     assert (summary.went_back, summary.written) == ({TOPIC: 1}, {TOPIC: 5})
 
 
-@pytest.mark.parametrize("stamp", [(-5, 0), (-(2**31), 0), (3, 10**9), (0, 2**32 - 1)])
+@pytest.mark.parametrize("stamp", [(-5, 0), (3, 10**9)])
 def test_stamp_that_is_no_time_takes_the_place_where_it_came(tmp_path, stamp):
     messages = [*map(serialized, range(100)), with_stamp(100, *stamp), serialized(101)]
     summary = recorded(tmp_path / "bag", messages)
@@ -167,7 +151,7 @@ def files_up_to(length):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("length", [200_000, 1_500_000, 4_000_000])
+@pytest.mark.parametrize("length", [200_000, 1_500_000])
 def test_full_disk_keeps_every_message_that_was_written(tmp_path, length):
     topics = {TOPIC: WRENCH, "/image_raw": IMAGE}
     with files_up_to(length):
@@ -278,28 +262,17 @@ def test_name_that_was_taken_meanwhile_costs_nothing(tmp_path):
     assert os.listdir(tmp_path / "bag") == []
 
 
-def test_unfinished_recording_is_not_written_over(tmp_path):
-    unfinished_path(tmp_path / "bag").mkdir()
-    with pytest.raises(FileExistsError, match="not finished"):
-        BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=1)
-
-
-def test_unknown_type_leaves_nothing(tmp_path):
+def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(tmp_path):
     with pytest.raises(ValueError, match="not known"):
         BagRecording(tmp_path / "bag", {TOPIC: "no_msgs/msg/Such"}, queue_bytes=1)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_existing_path_is_refused(tmp_path):
-    (tmp_path / "bag").mkdir()
-    with pytest.raises(FileExistsError):
+    recording = BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=10)
+    assert not recording.put(TOPIC, serialized(0))
+    assert recording.close().dropped == {TOPIC: 1}
+    assert list(tmp_path.iterdir()) == []
+    unfinished_path(tmp_path / "bag").mkdir()
+    with pytest.raises(FileExistsError, match="not finished"):
         BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=1)
-
-
-def test_stamp_of_big_endian_message():
-    assert (
-        msg_adapters.serialized_stamp_ns(b"\0\0\0\0" + b"\0\0\0\2" + b"\0\0\0\3") == 2 * 10**9 + 3
-    )
 
 
 def test_a_bag_of_the_page_holds_the_pose_that_the_skin_shows(tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.parameters import FrameParameters
 from dotsim_ros.specification import load_sensor
 
 FOLDER = Path(__file__).parents[2] / "urdf"
@@ -30,10 +30,9 @@ def expanded(prefix: str) -> ElementTree.Element:
 
 
 def test_frames_and_dome_are_those_of_the_sensor() -> None:
-    sensor, parameters = load_sensor("densetact2"), TactileSimParameters(frame_prefix="left_")
+    sensor, frames = load_sensor("densetact2"), FrameParameters(frame_prefix="left_").prefixed()
     robot = expanded("left_")
     model = pinocchio.buildModelFromXML(ElementTree.tostring(robot, encoding="unicode"))
-    frames = parameters.prefixed()
     assert model.existFrame(frames.base_frame)
     assert model.existFrame(frames.optical_frame)
     base = model.frames[model.getFrameId(frames.base_frame)].placement

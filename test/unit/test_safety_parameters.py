@@ -16,7 +16,7 @@ from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import MissCounter, RateMeter, Spread
-from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.common.parameters import READ_ONLY, known_parameters
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
 
@@ -27,7 +27,7 @@ from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
         ({"command_rate_hz": 50.0}, "expected 25 or 100"),
         ({"command_frame": "world"}, "expected one of link_tcp, link_base"),
         ({"image_transport": "theora"}, "expected one of raw, compressed"),
-        ({"workspace_m": (0.1, 0.1)}, "workspace_m needs 3 numbers"),
+        ({"workspace_m": (0.1, 0.1)}, "workspace_m is .* expected 3 numbers"),
         ({"workspace_m": (0.1, 0.1, 0.0)}, "workspace_m"),
         ({"maximum_linear_m_s2": 1.0}, "brakes for"),
         ({"retreat_m_s": 0.2}, "faster than the arm's"),
@@ -57,9 +57,9 @@ def test_no_guard_of_an_arm_is_off_by_default():
 
 
 def test_every_parameter_says_what_it_is_and_stays():
-    for field in dataclasses.fields(TactilePolicyParameters):
-        assert option_of(field).description.endswith("."), field.name
-        assert option_of(field).read_only, field.name
+    for name, (_, parameter) in known_parameters(TactilePolicyParameters).items():
+        assert parameter.help.endswith("."), name
+        assert parameter.fixed == READ_ONLY, name
 
 
 def test_the_shipped_file_holds_the_defaults():

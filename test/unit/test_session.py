@@ -79,18 +79,6 @@ def statuses_of(counter, gel, now_s):
     return {state.name: state for state in states}
 
 
-def test_press_and_see_make_the_frame_of_a_step(sensor):
-    sensor.reset()
-    whole = [sensor.step(pressed(depth), 0.04) for depth in (0.5, 0.8)]
-    sensor.reset()
-    for depth, expected in zip((0.5, 0.8), whole, strict=True):
-        frame = sensor.see(sensor.press(pressed(depth), 0.04), pressed(depth))
-        assert np.array_equal(frame.image, expected.image)
-        assert np.array_equal(frame.depth_m, expected.depth_m, equal_nan=True)
-        assert np.array_equal(frame.wrench.force_n, expected.wrench.force_n)
-        assert frame.time_s == expected.time_s
-
-
 def test_a_gel_that_cannot_be_solved_is_reset_and_says_so(sensor, failing_gel):
     fresh = sensor.step(None, 0.04)
     with pytest.raises(GelFailureError, match="press again from outside"):
@@ -205,13 +193,6 @@ def test_a_limited_press_that_would_be_refused_does_not_begin(sensor):
     assert session.advance() is session.moment
 
 
-def test_without_a_limit_every_motion_is_followed_to_its_end(sensor):
-    sensor.reset()
-    session = SensorSession(sensor, first_dt_s=0.04)
-    assert session.follow(motion(2.5, 1)).pose.position_m[2] == APEX_M - 2.5e-3
-    assert session.behind == 0
-
-
 @pytest.mark.fault("effects and overlays", "an effect of one's own that fails at a press")
 @pytest.mark.parametrize(
     ("hooks", "reason"),
@@ -260,13 +241,6 @@ def test_a_gel_that_relaxes_goes_on_under_a_held_indenter():
     assert np.all(np.diff([at_once, *held]) < 0.0)
     # Five times its time later, three fifths of the shape-changing stress are left.
     assert held[-1] < 0.75 * at_once
-
-
-def test_a_gel_without_memory_rests_under_a_held_indenter(sensor):
-    sensor.reset()
-    session = SensorSession(sensor, first_dt_s=0.04, limit_m=np.inf)
-    first = session.follow(motion(0.5, 40_000_000))
-    assert session.advance() is first
 
 
 BEGINNINGS = {

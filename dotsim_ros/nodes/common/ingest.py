@@ -57,21 +57,12 @@ class TimeRestart:
         self._early: deque[tuple[float, Callable[[], object]]] = deque(maxlen=EARLY_COUNT)
 
     def hold(self, act: Callable[[], object], now_s: float) -> None:
-        """Keep what was refused as out of order.
-
-        Args:
-            act: does it again.
-            now_s: steady time.
-        """
+        """Keep what does again what was refused as out of order at a steady time."""
         self._early.append((now_s, act))
 
     def begin(self, *, before_ns: int, now_ns: int, now_s: float) -> list[Callable[[], object]]:
-        """Note that the clock has gone back; return what was refused just before, to be done again.
-
-        Args:
-            before_ns, now_ns: the clock before and after.
-            now_s: steady time.
-        """
+        """Note that the clock has gone back; return what was refused just before, to be done
+        again."""
         self._before_ns, self._midway_ns = before_ns, (before_ns + now_ns) // 2
         acts = [act for held_s, act in self._early if now_s - held_s < EARLY_S]
         self._early.clear()
@@ -80,13 +71,9 @@ class TimeRestart:
     def check(self, stamp_ns: int, now_ns: int) -> None:
         """Refuse a message of the time before the clock went back.
 
-        Args:
-            stamp_ns: of the message.
-            now_ns: the clock.
-
         Raises:
             RefusedInputError: its stamp is near to the clock before its jump, and farther from the
-                clock.
+                clock now.
         """
         near_ns = min(abs(stamp_ns - now_ns), self._before_ns - self._midway_ns)
         if now_ns < self._midway_ns and abs(stamp_ns - self._before_ns) < near_ns:

@@ -12,8 +12,10 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.conditions import IfCondition
@@ -42,12 +44,28 @@ _EXPECTED = {
 }
 
 
+SWITCH = ("true", "false")
+
+
+def argument(
+    name: str, description: str, default: str = "", choices: Sequence[str] | None = None
+) -> DeclareLaunchArgument:
+    """Return an argument of a launch file."""
+    return DeclareLaunchArgument(
+        name, default_value=default, description=description, choices=choices
+    )
+
+
+def parameter_file_argument(default: str, description: str) -> DeclareLaunchArgument:
+    """Return the argument `params_file`, by default a file below `params/` of the package."""
+    params = Path(get_package_share_directory("dotsim_ros")) / "params"
+    return argument("params_file", description, str(params / default))
+
+
 def sensor_arguments() -> list[DeclareLaunchArgument]:
     """Return the arguments `SENSOR` and `TIME`; those that are not given leave the file alone."""
     return [
-        DeclareLaunchArgument(
-            name, default_value="", description=f"{described}; empty: as the parameters say"
-        )
+        argument(name, f"{described}; empty: as the parameters say")
         for name, described in _DESCRIBED.items()
     ]
 
@@ -58,17 +76,32 @@ def description(arguments: Sequence[DeclareLaunchArgument], *actions: Any) -> La
     return LaunchDescription([*arguments, check, *actions])
 
 
+def own_node(executable: str, **options: Any) -> Node:
+    """Return a node of this package; `options` as of `launch_ros.actions.Node`."""
+    return Node(package="dotsim_ros", executable=executable, output="screen", **options)
+
+
+def static_transform(parent: Any, child: Any, place: Mapping[str, Any], **options: Any) -> Node:
+    """Return what publishes the place of a child frame in its parent: x, y, z (m) and roll (rad),
+    by name. Needs tf2_ros."""
+    arguments = [each for axis, value in place.items() for each in (f"--{axis}", value)]
+    return Node(
+        package="tf2_ros",
+        executable="static_transform_publisher",
+        arguments=[*arguments, "--frame-id", parent, "--child-frame-id", child],
+        **options,
+    )
+
+
 def recorder(namespace: str, parameters: Sequence[str]) -> Node:
     """Return the recorder, which starts where the argument `record` is true."""
-    return Node(
-        package="dotsim_ros",
-        executable="tactile_record",
+    return own_node(
+        "tactile_record",
         namespace=namespace,
         parameters=parameters,
         condition=IfCondition(LaunchConfiguration("record")),
         # The bag appears once all that waits is written: the usual 5 s could lose it.
         sigterm_timeout="60",
-        output="screen",
     )
 
 

@@ -82,29 +82,23 @@ class LocalSubscription:
     """A subscription that hears the nodes of its process, or DDS where none of them publishes.
 
     Args:
-        node: whose executor calls.
+        node: whose executor calls `take` with a message and what is known of it.
         topic: resolved.
-        hear: takes a message and what is known of it.
         quality: of the topic; what does not fit into its depth is replaced.
-        dds: the subscription over DDS.
-
-    Attributes:
-        topic_name: resolved.
-        publishers: those of this process.
-        dds: as above; None where this process alone is heard.
+        dds: the subscription over DDS; None once this process alone is read.
     """
 
     def __init__(
         self,
         node: Any,
         topic: str,
-        hear: Callable[[Any, Information], None],
+        take: Callable[[Any, Information], None],
         quality: QoSProfile,
         dds: Any,
     ) -> None:
         self.topic_name = topic
         self.publishers: list[LocalPublisher] = []
-        self._node, self._hear, self.dds = node, hear, dds
+        self._node, self._receive, self.dds = node, take, dds
         keeps_all = quality.history is HistoryPolicy.KEEP_ALL
         self._waiting: deque[tuple[Any, int]] = deque(maxlen=None if keeps_all else quality.depth)
         # Never within the publisher's call: that holds locks, and runs on another thread.
@@ -132,7 +126,7 @@ class LocalSubscription:
     def _take(self) -> None:
         while self._waiting:
             message, number = self._waiting.popleft()
-            self._hear(message, {"publication_sequence_number": number})
+            self._receive(message, {"publication_sequence_number": number})
 
 
 _composed: LocalTopics | None = None

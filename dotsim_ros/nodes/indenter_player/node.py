@@ -19,7 +19,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import try_shutdown
 
 import msg_adapters
@@ -28,8 +27,10 @@ from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.common.clock_watch import ClockJump
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.ingest import TimeRestart
-from dotsim_ros.nodes.common.spin import WorkingNode, run_node
-from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, program_of
+from dotsim_ros.nodes.common.node import WorkingNode
+from dotsim_ros.nodes.common.spin import run_node
+from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
+from dotsim_ros.nodes.indenter_player.program import program_of
 
 POSE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 POLL_S = 0.02
@@ -48,20 +49,10 @@ class IndenterPlayer(WorkingNode):
         super().__init__("indenter_player")
         self._settings = declare(self, PlayerParameters)
         self._program = program_of(self._settings)
-        self._publisher = self.create_publisher(
-            PoseStamped,
-            "indenter/pose",
-            POSE_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        self._publisher = self.open_publisher(PoseStamped, "indenter/pose", POSE_QOS)
         self._forces: Publisher | None = None
         if self._program.forces is not None:
-            self._forces = self.create_publisher(
-                WrenchStamped,
-                "indenter/wrench",
-                POSE_QOS,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            )
+            self._forces = self.open_publisher(WrenchStamped, "indenter/wrench", POSE_QOS)
         self._answered = threading.Condition()
         self._time_restart = TimeRestart()
         if self._settings.wait_for_answer:

@@ -19,7 +19,6 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 
@@ -31,7 +30,7 @@ from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.live.desk import LiveDesk
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment, rate_hz_of
 from dotsim_ros.nodes.common.ingest import Fault
-from dotsim_ros.nodes.common.spin import WorkingNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.profiles import PROFILES
 from dotsim_ros.view.skin_map import rest_position_m, skin_triangles
 from msg_adapters import Level, Status
@@ -82,12 +81,7 @@ class LiveAttachment(WorkingNode):
         self._is_asked = False
         self._base_frame = BASE_FRAME
         self._fault_count: int | None = None
-        self._publisher = self.create_publisher(
-            PoseStamped,
-            "indenter/pose",
-            STATE_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        self._publisher = self.open_publisher(PoseStamped, "indenter/pose", STATE_QOS)
         self.title = self._publisher.topic_name.removesuffix("indenter/pose") + node_name
         for kind, topic, hear, qos in (
             (Image, "image_raw", self._on_image, IMAGE_QOS),
@@ -97,13 +91,7 @@ class LiveAttachment(WorkingNode):
             (PoseStamped, "indenter/state", self._on_state, STATE_QOS),
             (DiagnosticArray, "/diagnostics", self._on_diagnostics, STATE_QOS),
         ):
-            self.create_subscription(
-                kind,
-                topic,
-                hear,
-                qos,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            )
+            self.open_subscription(kind, topic, hear, qos)
         self._get = self.create_client(GetParameters, f"{node_name}/get_parameters")
         self._set = self.create_client(
             SetParametersAtomically, f"{node_name}/set_parameters_atomically"
@@ -119,7 +107,6 @@ class LiveAttachment(WorkingNode):
     # Orders, from the server's thread.
 
     def move(self, pose: Pose | None, number: int) -> None:
-        """See `desk.Subject`."""
         if pose is None:
             raise ValueError(
                 "a node's indenter cannot be taken away: drag it off, or reset the node"
@@ -134,11 +121,9 @@ class LiveAttachment(WorkingNode):
         )
 
     def choose_sensor(self, name: str) -> None:
-        """See `desk.Subject`."""
         raise ValueError(f"sensor {name} is the node's own: set it when the node is started")
 
     def choose_indenter(self, name: str) -> None:
-        """See `desk.Subject`."""
         self._need(self._set, "parameters")
         change = Parameter("indenter", value=name).to_parameter_msg()
         answer = self._set.call_async(SetParametersAtomically.Request(parameters=[change]))
@@ -146,11 +131,9 @@ class LiveAttachment(WorkingNode):
         self._desk.tell_state(busy=f"the node prepares {name}")
 
     def choose_profile(self, name: str) -> None:
-        """See `desk.Subject`."""
         raise ValueError(f"profile {name} is the node's own: set it when the node is started")
 
     def reset(self) -> None:
-        """See `desk.Subject`."""
         self._need(self._reset, "service reset")
         self._reset.call_async(Trigger.Request()).add_done_callback(self._on_reset)
 
@@ -269,7 +252,7 @@ class LiveAttachment(WorkingNode):
         self._desk.show_picture(Picture(stamp_ns, image, depth_m, self._rest_depth_m))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        # As `GuardedNode.label` of a node that shares this one's namespace.
+        # As `WorkingNode.label` of a node that shares this one's namespace.
         label = f"{self.get_namespace()}/{self._node_name}".strip("/")
         for status in msg_adapters.decode_diagnostics(message):
             if status.name == f"{label}: frames":

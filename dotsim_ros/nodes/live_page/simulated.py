@@ -136,7 +136,6 @@ class SimulatedSubject:
             thread.join(STOP_S)
 
     def move(self, pose: Pose | None, number: int) -> None:
-        """See `desk.Subject`."""
         with self._wake:
             if pose is None:
                 self._ordered.clear()
@@ -144,19 +143,15 @@ class SimulatedSubject:
             self._wake.notify_all()
 
     def choose_sensor(self, name: str) -> None:
-        """See `desk.Subject`."""
         self._do(lambda: self._change_sensor(name))
 
     def choose_indenter(self, name: str) -> None:
-        """See `desk.Subject`."""
         self._do(lambda: self._change_indenter(name))
 
     def choose_profile(self, name: str) -> None:
-        """See `desk.Subject`."""
         self._do(lambda: self._change_profile(name))
 
     def reset(self) -> None:
-        """See `desk.Subject`."""
         self._do(self._restart)
 
     def _do(self, job: Callable[[], None]) -> None:

@@ -24,8 +24,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 import msg_adapters
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.log_folder import prepare_log_folder
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.simulated_time.participant import StepParticipant
 
 LOOP_TOPICS: dict[str, type] = {
@@ -73,10 +73,10 @@ class LoopObserver:
         self._context = rclpy.Context()
         prepare_log_folder()
         rclpy.init(context=self._context)
-        self.node = GuardedNode("loop_observer", context=self._context)
+        self.node = WorkingNode("loop_observer", context=self._context)
         if is_stepped:
             self.node.participant = StepParticipant(self.node, lambda time_ns: None)
-        self.beside = GuardedNode("loop_stepper", context=self._context)
+        self.beside = WorkingNode("loop_stepper", context=self._context)
         self.diagnostics: dict[str, msg_adapters.Status] = {}
         self.diagnostics_ns: dict[str, int] = {}
         self._types = dict(topics)

@@ -24,7 +24,7 @@ from dotsim_ros.control.safety_layer.freshness import HeardMessage, StreamWatch
 from dotsim_ros.control.safety_layer.limits import Readings, Reason
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.documents import value_text
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.reasons import reason_of
 from dotsim_ros.nodes.tactile_policy.parameters import (
     BASE_FRAME,
@@ -82,7 +82,7 @@ class PolicyInputs:
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         parameters: TactilePolicyParameters,
         *,
         latch: Callable[[Reason, str], None],

@@ -32,8 +32,9 @@ from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import Miss
 from dotsim_ros.nodes.common.declare import declare
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.priority import take_priority
-from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
 from dotsim_ros.nodes.tactile_policy.health import NO_FORCE, NO_FORCE_LIMIT, statuses

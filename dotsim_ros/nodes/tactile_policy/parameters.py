@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from dotsim_ros.control.safety_layer.arm_control import ControlSettings
 from dotsim_ros.control.safety_layer.limits import SafetyLimits
-from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.io.quantity import check_fields, quantity
+from dotsim_ros.nodes.common.parameters import READ_ONLY
 from dotsim_ros.nodes.simulated_time.latency import LONGEST_S, check_quantiles
 
 RAW, COMPRESSED = "raw", "compressed"
@@ -30,202 +32,160 @@ class TactilePolicyParameters:
         ValueError: a value out of its range, or two that contradict each other.
     """
 
-    policy: str = option(
-        "",
-        "The policy: a folder that train-policy wrote, or a name below params/policies.",
-        read_only=True,
+    FIXED: ClassVar[str] = READ_ONLY
+
+    policy: str = quantity(
+        "", help="The policy: a folder that train-policy wrote, or a name below params/policies."
     )
-    path: str = option(
-        "", "Which of the policy's paths to follow. Empty: its first.", read_only=True
-    )
-    idle_image: str = option(
+    path: str = quantity("", help="Which of the policy's paths to follow. Empty: its first.")
+    idle_image: str = quantity(
         "",
-        "Image of the sensor at rest. Empty: call calibrate_idle before set_enabled.",
+        help="Image of the sensor at rest. Empty: call calibrate_idle before set_enabled.",
         is_path=True,
-        read_only=True,
     )
-    image_transport: str = option(
+    image_transport: str = quantity(
         RAW,
-        "raw: image_raw (Image); compressed: image_raw/compressed (CompressedImage).",
+        help="raw: image_raw (Image); compressed: image_raw/compressed (CompressedImage).",
         choices=(RAW, COMPRESSED),
-        read_only=True,
     )
-    maximum_image_distance: float = option(
+    maximum_image_distance: float = quantity(
         0.0,
-        "An image whose distance from the training images is larger stops the arm, since it is "
-        "taken for another sensor's. 0: the limit of the policy's card.",
-        minimum=0.0,
-        maximum=1e9,
-        read_only=True,
+        help="An image whose distance from the training images is larger stops the arm, since it "
+        "is taken for another sensor's. 0: the limit of the policy's card.",
+        low=0.0,
+        high=1e9,
     )
-    command_frame: str = option(
+    command_frame: str = quantity(
         TOOL_FRAME,
-        "Axes of the commands: those of the tool, or those of the arm's base.",
+        help="Axes of the commands: those of the tool, or those of the arm's base.",
         choices=(TOOL_FRAME, BASE_FRAME),
-        read_only=True,
     )
-    command_rate_hz: float = option(
+    command_rate_hz: float = quantity(
         POLICY_RATE_HZ,
-        "25: each command of the policy is published once; 100: commands between them are "
+        help="25: each command of the policy is published once; 100: commands between them are "
         "interpolated linearly.",
-        minimum=POLICY_RATE_HZ,
-        maximum=CONTROL_RATE_HZ,
-        read_only=True,
+        low=POLICY_RATE_HZ,
+        high=CONTROL_RATE_HZ,
     )
-    command_lead_s: float = option(
+    command_lead_s: float = quantity(
         0.0,
-        "How long after its image a command takes effect: the commands are extrapolated by as "
+        help="How long after its image a command takes effect: the commands are extrapolated by as "
         "much. 0: they are published as they are.",
-        minimum=0.0,
-        maximum=0.2,
-        read_only=True,
+        low=0.0,
+        high=0.2,
     )
-    maximum_linear_m_s: float = option(
-        0.05, "Speed limit of the tool.", minimum=1e-4, maximum=1.0, read_only=True
+    maximum_linear_m_s: float = quantity(0.05, help="Speed limit of the tool.", low=1e-4, high=1.0)
+    maximum_angular_rad_s: float = quantity(
+        0.4, help="Limit of the tool's angular speed.", low=1e-3, high=4.0
     )
-    maximum_angular_rad_s: float = option(
-        0.4, "Limit of the tool's angular speed.", minimum=1e-3, maximum=4.0, read_only=True
+    maximum_linear_m_s2: float = quantity(
+        2.5, help="Limit of the tool's linear acceleration.", low=0.01, high=50.0
     )
-    maximum_linear_m_s2: float = option(
-        2.5, "Limit of the tool's linear acceleration.", minimum=0.01, maximum=50.0, read_only=True
+    maximum_angular_rad_s2: float = quantity(
+        20.0, help="Limit of the tool's angular acceleration.", low=0.1, high=500.0
     )
-    maximum_angular_rad_s2: float = option(
-        20.0,
-        "Limit of the tool's angular acceleration.",
-        minimum=0.1,
-        maximum=500.0,
-        read_only=True,
-    )
-    workspace_m: tuple[float, float, float] = option(
+    workspace_m: tuple[float, float, float] = quantity(
         (0.12, 0.12, 0.04),
-        "Edges of the box that the tool may not leave, along the base's axes, around the pose at "
-        "which the node was enabled.",
-        minimum=1e-3,
-        maximum=2.0,
-        read_only=True,
+        help="Edges of the box that the tool may not leave, along the base's axes, around the pose "
+        "at which the node was enabled.",
+        low=1e-3,
+        high=2.0,
     )
-    maximum_turn_rad: float = option(
+    maximum_turn_rad: float = quantity(
         0.35,
-        "Largest angle by which the tool may be turned from its orientation when the node was "
+        help="Largest angle by which the tool may be turned from its orientation when the node was "
         "enabled.",
-        minimum=1e-3,
-        maximum=3.0,
-        read_only=True,
+        low=1e-3,
+        high=3.0,
     )
-    reaction_s: float = option(
+    reaction_s: float = quantity(
         0.1,
-        "How long the arm continues before a command takes effect; the margin kept to the "
+        help="How long the arm continues before a command takes effect; the margin kept to the "
         "workspace's border follows from it.",
-        minimum=0.0,
-        maximum=1.0,
-        read_only=True,
+        low=0.0,
+        high=1.0,
     )
-    stop_within_s: float = option(
+    stop_within_s: float = quantity(
         0.08,
-        "The commands are zero at the latest this long after the last image, pose or force.",
-        minimum=0.06,
-        maximum=1.0,
-        read_only=True,
+        help="The commands are zero at the latest this long after the last image, pose or force.",
+        low=0.06,
+        high=1.0,
     )
-    maximum_delay_s: float = option(
+    maximum_delay_s: float = quantity(
         0.25,
-        "A message that arrives later than this after its stamp stops the arm.",
-        minimum=0.01,
-        maximum=1e9,
-        read_only=True,
+        help="A message that arrives later than this after its stamp stops the arm.",
+        low=0.01,
+        high=1e9,
     )
-    clock_jump_s: float = option(
+    clock_jump_s: float = quantity(
         0.5,
-        "Stamps that lie further in the future, and a clock that is set by more, stop the arm "
+        help="Stamps that lie further in the future, and a clock that is set by more, stop the arm "
         "until it is enabled again; stamps that run back by more than 20 ms always do.",
-        minimum=0.05,
-        maximum=1e9,
-        read_only=True,
+        low=0.05,
+        high=1e9,
     )
-    resume_when_fresh: bool = option(
+    resume_when_fresh: bool = quantity(
         True,
-        "Resume without a call once messages that were late arrive again; otherwise set_enabled is "
-        "needed.",
-        read_only=True,
+        help="Resume without a call once messages that were late arrive again; otherwise "
+        "set_enabled is needed.",
     )
-    force_limit_n: float = option(
+    force_limit_n: float = quantity(
         8.0,
-        "Force on the topic wrench above which the tool retreats. 0: the sensor measures no force, "
-        "the topic is not read, and nothing limits the force.",
-        minimum=0.0,
-        maximum=1000.0,
-        read_only=True,
+        help="Force on the topic wrench above which the tool retreats. 0: the sensor measures no "
+        "force, the topic is not read, and nothing limits the force.",
+        low=0.0,
+        high=1000.0,
     )
-    force_release_share: float = option(
-        0.8,
-        "The retreat ends below this share of the limit.",
-        minimum=0.01,
-        maximum=1.0,
-        read_only=True,
+    force_release_share: float = quantity(
+        0.8, help="The retreat ends below this share of the limit.", low=0.01, high=1.0
     )
-    retreat_m_s: float = option(
-        0.01,
-        "Speed of the retreat, along -z of the tool.",
-        minimum=1e-4,
-        maximum=1.0,
-        read_only=True,
+    retreat_m_s: float = quantity(
+        0.01, help="Speed of the retreat, along -z of the tool.", low=1e-4, high=1.0
     )
-    retreat_m: float = option(
+    retreat_m: float = quantity(
         0.02,
-        "If the force is still too large after a retreat of this length, the arm stops until it is "
-        "enabled again.",
-        minimum=1e-4,
-        maximum=0.5,
-        read_only=True,
+        help="If the force is still too large after a retreat of this length, the arm stops until "
+        "it is enabled again.",
+        low=1e-4,
+        high=0.5,
     )
-    hold_orientation: bool = option(
+    hold_orientation: bool = quantity(
         True,
-        "Turn the tool back to its orientation when the node was enabled, which touch alone does "
-        "not identify.",
-        read_only=True,
+        help="Turn the tool back to its orientation when the node was enabled, which touch alone "
+        "does not identify.",
     )
-    orientation_gain_per_s: float = option(
+    orientation_gain_per_s: float = quantity(
         2.0,
-        "Gain of that rotation: angular speed for each radian of error.",
-        minimum=0.01,
-        maximum=20.0,
-        read_only=True,
+        help="Gain of that rotation: angular speed for each radian of error.",
+        low=0.01,
+        high=20.0,
     )
-    orientation_limit_rad_s: float = option(
-        0.1,
-        "Limit of the angular speed of that rotation.",
-        minimum=1e-3,
-        maximum=4.0,
-        read_only=True,
+    orientation_limit_rad_s: float = quantity(
+        0.1, help="Limit of the angular speed of that rotation.", low=1e-3, high=4.0
     )
-    inference_latency_s: tuple[float, ...] = option(
+    inference_latency_s: tuple[float, ...] = quantity(
         (0.0,),
-        "In simulated time: from an image to the policy's command: one delay, or evenly spaced "
-        "quantiles of it, the smallest first.",
-        minimum=0.0,
-        maximum=LONGEST_S,
-        read_only=True,
+        help="In simulated time: from an image to the policy's command: one delay, or evenly "
+        "spaced quantiles of it, the smallest first.",
+        low=0.0,
+        high=LONGEST_S,
+        any_length=True,
     )
-    latency_seed: int = option(
-        0, "Seed of inference_latency_s.", minimum=0, maximum=2**31 - 1, read_only=True
-    )
-    realtime_priority: int = option(
+    latency_seed: int = quantity(0, help="Seed of inference_latency_s.", low=0, high=2**31 - 1)
+    realtime_priority: int = quantity(
         0,
-        "Real-time priority (SCHED_RR) of the node's threads, which the system must permit. 0: "
-        "none.",
-        minimum=0,
-        maximum=99,
-        read_only=True,
+        help="Real-time priority (SCHED_RR) of the node's threads, which the system must permit. "
+        "0: none.",
+        low=0,
+        high=99,
     )
-    diagnostics_period_s: float = option(
-        1.0, "Period of the diagnostics.", minimum=0.05, maximum=60.0, read_only=True
+    diagnostics_period_s: float = quantity(
+        1.0, help="Period of the diagnostics.", low=0.05, high=60.0
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        check_fields("", self)
         check_quantiles("inference_latency_s", self.inference_latency_s)
-        if len(self.workspace_m) != 3:
-            raise ValueError(f"workspace_m needs 3 numbers, got {len(self.workspace_m)}")
         if self.command_rate_hz not in (POLICY_RATE_HZ, CONTROL_RATE_HZ):
             raise ValueError(
                 f"command_rate_hz is {self.command_rate_hz:g}, expected {POLICY_RATE_HZ:g} or "

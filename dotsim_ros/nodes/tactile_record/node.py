@@ -19,23 +19,24 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.logging import get_logger
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import try_shutdown
 
 from dotsim_ros.data.bag import PARTIAL, unfinished_path
 from dotsim_ros.data.bag_metadata import METADATA
 from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.quantity import check_fields, quantity
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.health import Report, statuses_of
-from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.parameters import READ_ONLY
+from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.tactile_record.recording import (
     FLUSH_PERIOD_S,
     BagRecording,
@@ -72,14 +73,15 @@ class RecordParameters:
         ValueError: a value out of its range, a topic without a type, or one named twice or wrongly.
     """
 
-    output: str = option(
+    FIXED: ClassVar[str] = READ_ONLY
+
+    output: str = quantity(
         "",
-        "folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the recording "
-        "ends it has .partial behind its name",
+        help="folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the "
+        "recording ends it has .partial behind its name",
         is_path=True,
-        read_only=True,
     )
-    topics: tuple[str, ...] = option(
+    topics: tuple[str, ...] = quantity(
         (
             "image_raw",
             "camera_info",
@@ -89,26 +91,20 @@ class RecordParameters:
             "indenter/pose",
             "indenter/state",
         ),
-        "topics to record: names of the sensor, or NAME=PACKAGE/msg/TYPE of a stamped message",
-        read_only=True,
+        help="topics to record: names of the sensor, or NAME=PACKAGE/msg/TYPE of a stamped message",
     )
-    queue_mb: int = option(
+    queue_mb: int = quantity(
         512,
-        "memory (MB) for messages that wait for the disk; messages beyond it are dropped",
-        minimum=1,
-        maximum=65536,
-        read_only=True,
+        help="memory (MB) for messages that wait for the disk; messages beyond it are dropped",
+        low=1,
+        high=65536,
     )
-    duration_s: float = option(
-        0.0,
-        "end the recording after this time; 0: when stopped",
-        minimum=0.0,
-        maximum=1e6,
-        read_only=True,
+    duration_s: float = quantity(
+        0.0, help="end the recording after this time; 0: when stopped", low=0.0, high=1e6
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        check_fields("", self)
         self.message_types()
 
     def message_types(self) -> dict[str, str]:
@@ -192,7 +188,7 @@ class TactileRecord(WorkingNode):
         duration_s = max(self._settings.duration_s, 1e-3)
         end = FramePace(rate_hz=1.0 / duration_s, start_s=now_s + duration_s)
         for topic, kind in self._types.items():
-            self.create_subscription(
+            self.open_subscription(
                 message_class(kind),
                 topic,
                 partial(self._on_message, recording, topic),
@@ -201,7 +197,6 @@ class TactileRecord(WorkingNode):
                 event_callbacks=SubscriptionEventCallbacks(
                     message_lost=partial(self._on_lost, topic)
                 ),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
         report = self.report_health(
             REPORT_PERIOD_S,
@@ -236,12 +231,11 @@ class TactileRecord(WorkingNode):
         # Not the node's own logger, which would try to publish what it says after the shutdown.
         logger = get_logger("dotsim_ros.tactile_record")
         count = sum(summary.written.values())
-        odd = sum(summary.stamp_is_no_time.values())
-        if odd:
+        if summary.stamp_is_no_time:
             logger.warning(
-                f"{odd} messages have a stamp that is no time "
-                f"({_by_topic(summary.stamp_is_no_time)}); they are in the bag, where the message "
-                "before them lies: mend what publishes them, calibrate refuses such messages"
+                f"{_odd(summary)} ({_by_topic(summary.stamp_is_no_time)}); they are in the bag, "
+                "where the message before them lies: mend what publishes them, calibrate refuses "
+                "such messages"
             )
         if summary.went_back:
             logger.warning(f"{_mixed(summary)}: record each time by itself")
@@ -271,26 +265,21 @@ class TactileRecord(WorkingNode):
     def _health(self, recording: BagRecording) -> Report:
         summary = recording.summary()
         level, message = Level.OK, "recording"
-        odd = sum(summary.stamp_is_no_time.values())
+        missing = summary.missing + self._lost
         if summary.error is not None:
             level, message = Level.ERROR, _ending(summary)
-        elif summary.missing or self._lost:
-            missing = summary.missing + self._lost
+        elif missing:
             level, message = Level.WARN, f"{missing} messages are missing from the bag"
         elif summary.went_back:
             level, message = Level.WARN, _mixed(summary)
-        elif odd:
-            level, message = Level.WARN, f"{odd} messages have a stamp that is no time"
-        values = {
+        elif summary.stamp_is_no_time:
+            level, message = Level.WARN, _odd(summary)
+        counted = ("written", "dropped", "lost", "refused", "stamp_is_no_time", "went_back")
+        values = {name: str(sum(getattr(summary, name).values())) for name in counted}
+        values |= {
             "folder": str(summary.folder),
-            "written": str(sum(summary.written.values())),
             "waiting": str(summary.waiting),
-            "dropped": str(sum(summary.dropped.values())),
-            "lost": str(sum(summary.lost.values())),
             "lost_on_the_way": str(self._lost),
-            "refused": str(sum(summary.refused.values())),
-            "stamp_is_no_time": str(odd),
-            "went_back": str(sum(summary.went_back.values())),
         }
         return level, message, values
 
@@ -345,6 +334,10 @@ class TactileRecord(WorkingNode):
 
 def _by_topic(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{topic} {count}" for topic, count in counts.items())
+
+
+def _odd(summary: RecordingSummary) -> str:
+    return f"{sum(summary.stamp_is_no_time.values())} messages have a stamp that is no time"
 
 
 def _mixed(summary: RecordingSummary) -> str:

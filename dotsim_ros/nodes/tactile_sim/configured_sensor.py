@@ -29,15 +29,13 @@ from dotsim_ros.effects.live import specification_with_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.nodes.common.clock_watch import ClockJump
-from dotsim_ros.nodes.common.duplicate_publishers import duplicate_publishers
 from dotsim_ros.nodes.common.ingest import FaultLog
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.spin import WorkingNode
-from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of, make_active_profile
 from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
-from dotsim_ros.nodes.tactile_sim.external_wrench import ExternalWrenches, entity_message
+from dotsim_ros.nodes.tactile_sim.external_wrench import ENTITY_WRENCH, ExternalWrenches
 from dotsim_ros.nodes.tactile_sim.force_drive import ForceDrive
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, lag_text, statuses
 from dotsim_ros.nodes.tactile_sim.motion import (
@@ -46,14 +44,14 @@ from dotsim_ros.nodes.tactile_sim.motion import (
     MotionQueue,
 )
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
-from dotsim_ros.nodes.tactile_sim.parameters import BY_FORCE, REALTIME, TF, TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.parameters import BY_FORCE, TF, TactileSimParameters
 from dotsim_ros.nodes.tactile_sim.profiles import resolve_profile
-from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
+from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers, publish_static_frame
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
-from dotsim_ros.nodes.tactile_sim.transform_input import transform_message
+from dotsim_ros.nodes.tactile_sim.transform_input import TRANSFORMS
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import NoiseSpecification, SensorSpecification, load_sensor
-from msg_adapters import Level, Status
+from msg_adapters import Level, Status, message_class
 
 FRAMES_BROKEN = "the loop of frames failed"
 MISSING_INPUT_LOG_S = 5.0
@@ -77,96 +75,87 @@ class ConfiguredSensor:
         self._node, self.settings = node, settings
         _check_messages(settings)
         self._lock = RLock()
-        self._is_enabled = True
-        self._is_active = False
+        self._is_enabled, self._is_active = True, False
         self._end_frames: Callable[[], None] | None = None
         self._static_frame: Any = None
-        self._is_realtime = self.settings.clock == REALTIME
-        specification = load_sensor(self.settings.sensor)
+        time_of, self._is_realtime = settings.time, settings.time.is_realtime
+        period_s = 1.0 / time_of.rate_hz
+        specification = load_sensor(settings.sensor.sensor)
         effects = self._load_effects(specification.name)
         self._effect_names = described(effects)
         profile = resolve_profile(
-            self.settings.profile,
+            settings.sensor.profile,
             is_lockstep=not self._is_realtime,
-            is_simulated_time=self._node.get_parameter("use_sim_time").value,
+            is_simulated_time=node.is_simulated,
         )
         specification = specification_with_effects(specification, effects)
-        ladder = ladder_of(profile, specification, grid_spacing_m=self.settings.grid_spacing_m)
-        sensor = self._make_sensor(replace(specification, solver=ladder[0].solver))
-        self._sensor = sensor
+        spacing_m = settings.sensor.grid_spacing_m
+        ladder = ladder_of(profile, specification, grid_spacing_m=spacing_m)
+        self._sensor = self._make_sensor(replace(specification, solver=ladder[0].solver))
         self._drive: ForceDrive | None = None
-        if self.settings.control == BY_FORCE:
-            self._drive = ForceDrive(sensor, lambda pose: self._input.normal_force_n(pose))
+        if settings.motion.control == BY_FORCE:
+            self._drive = ForceDrive(self._sensor, lambda pose: self._input.normal_force_n(pose))
         self._session = SensorSession(
-            sensor,
-            first_dt_s=1.0 / self.settings.rate_hz,
+            self._sensor,
+            first_dt_s=period_s,
             limit_m=ladder[0].profile.move_m,
             effects=effects,
             drive=self._drive,
         )
-        if self.settings.device != "cpu":
-            self._node.get_logger().warning(
-                f"device {self.settings.device} is experimental: nothing has been shown to run "
-                "there; `python -m studies device_check` compares it with the CPU"
-            )
-        self._node.get_logger().info("warming up: the first start compiles the kernels")
+        node.get_logger().info("warming up: the first start compiles the kernels")
         self._warm_up_s = self._session.warm_up()
         self._profile = make_active_profile(
             ladder,
-            sensor,
+            self._sensor,
             self._session,
-            asked=self.settings.profile,
-            period_s=1.0 / self.settings.rate_hz,
-            tell=self._node.get_logger().info,
+            asked=settings.sensor.profile,
+            period_s=period_s,
+            report=node.get_logger().info,
         )
-        half_exposed_s = 0.5 * self.settings.exposure_s
         self._latency = Latency(
-            [half_exposed_s + delay_s for delay_s in self.settings.image_latency_s],
-            seed=self.settings.latency_seed,
+            [0.5 * time_of.exposure_s + delay_s for delay_s in time_of.image_latency_s],
+            seed=time_of.latency_seed,
         )
-        self._counter = FrameCounter()
-        self._faults = FaultLog()
+        self._counter, self._faults = FrameCounter(), FaultLog()
         self._motions = MotionQueue()
         self._frame_ns: int | None = None
         self._pace = self._new_pace()
-        self._outputs = FramePublishers(node, sensor, self.settings, noise=specification.noise)
+        self._outputs = FramePublishers(node, self._sensor, settings, noise=specification.noise)
         self._calibration = CalibrationStore(
             node,
-            self.settings.camera_info_url,
-            camera_name=self._node.label.replace("/", "_"),
+            settings.topics.camera_info_url,
+            camera_name=node.label.replace("/", "_"),
             check=self._outputs.check_calibration,
             on_change=self._outputs.take_calibration,
         )
         self._input = MotionInput(
             node,
-            self.settings,
+            settings,
             faults=self._faults,
             on_motion=self._motions.put if self._is_realtime else self._lockstep_frame,
         )
         self._external_wrenches = ExternalWrenches(
-            node, self.settings, world_rotation=self._input.world_rotation
+            node, settings, world_rotation=self._input.world_rotation
         )
-        self._node.on_clock_jump(self._on_clock_jump)
-        self._node.report_health(
-            self.settings.diagnostics_period_s,
-            self._health,
-            without_clock="frames cannot be stamped",
+        node.on_clock_jump(self._on_clock_jump)
+        node.report_health(
+            time_of.diagnostics_period_s, self._health, without_clock="frames cannot be stamped"
         )
-        self._node.create_subscription(
-            Bool, self.settings.reference_topic, self._on_reset_reference, 10
+        node.create_subscription(
+            Bool, settings.topics.reference_topic, self._on_reset_reference, 10
         )
-        self._node.create_service(Trigger, "~/reset", self._on_reset)
-        self._node.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
-        self._node.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
+        node.create_service(Trigger, "~/reset", self._on_reset)
+        node.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
+        node.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
 
     def activate(self) -> None:
         """Start the frames."""
-        if self.settings.publish_tf and self._static_frame is None:
+        if self.settings.frames.publish_tf and self._static_frame is None:
             self._static_frame = publish_static_frame(
                 self._node,
                 self._sensor.camera.pose,
-                parent=self.settings.base_frame,
-                child=self.settings.optical_frame,
+                parent=self.settings.frames.base_frame,
+                child=self.settings.frames.optical_frame,
             )
         with self._lock:
             self._is_active = True
@@ -176,8 +165,8 @@ class ConfiguredSensor:
                 "frames", lambda: self._pace, self._realtime_frame, FRAMES_BROKEN
             )
         self._node.get_logger().info(
-            f"ready: {self.settings.sensor}, {self.settings.indenter}, "
-            f"{self.settings.clock}, profile {self._profile.name}, "
+            f"ready: {self.settings.sensor.sensor}, {self.settings.sensor.indenter}, "
+            f"{self.settings.time.clock}, profile {self._profile.name}, "
             f"warmed up in {self._warm_up_s:.1f} s"
         )
 
@@ -192,42 +181,45 @@ class ConfiguredSensor:
             self._session.restart()
 
     def _load_effects(self, sensor_name: str) -> tuple[Active, ...]:
-        if not self.settings.effects:
+        place, folder = self.settings.sensor.effects, self.settings.sensor.effects_folder
+        if not place:
             return ()
-        folder = self.settings.effects_folder
-        overlay = read_overlay(self.settings.effects)
+        overlay = read_overlay(place)
         library = load_effects(
             (folder,) if folder else (),
             names=[found.name for found in overlay.effects],
             announce=self._node.get_logger().warning,
         )
-        effects = active_effects(overlay, library, place=self.settings.effects)
+        effects = active_effects(overlay, library, place=place)
         if overlay.sensor != sensor_name:
             self._node.get_logger().warning(
-                f"{self.settings.effects} was found on the sensor {overlay.sensor!r}, this one is "
-                f"{sensor_name!r}: search its own data"
+                f"{place} was found on the sensor {overlay.sensor!r}, this one is {sensor_name!r}: "
+                "search its own data"
             )
         self._node.get_logger().info(f"effects: {', '.join(described(effects)) or 'none'}")
         return effects
 
     def _make_sensor(self, specification: SensorSpecification) -> TactileSensor:
-        if self.settings.idle_image:
-            camera = replace(
-                specification.camera, idle_image=str(Path(self.settings.idle_image).absolute())
-            )
+        known = self.settings.sensor
+        if known.idle_image:
+            idle_image = str(Path(known.idle_image).absolute())
+            camera = replace(specification.camera, idle_image=idle_image)
             specification = replace(specification, camera=camera)
-        # Drawn by the stamp as an image is published, after the effects: an image that stands still
-        # has new noise, too.
-        specification = replace(specification, noise=NoiseSpecification())
-        sensor = TactileSensor(
-            specification,
-            indenter=load_indenter(self.settings.indenter),
-            device=self.settings.device,
-            progress=self._tell_progress,
+        if known.device != "cpu":
+            self._node.get_logger().warning(
+                f"device {known.device} is experimental: nothing has been shown to run there; "
+                "`python -m studies device_check` compares it with the CPU"
+            )
+        return TactileSensor(
+            # Noise is drawn by the stamp as an image is published, after the effects: an image that
+            # stands still has new noise, too.
+            replace(specification, noise=NoiseSpecification()),
+            indenter=load_indenter(known.indenter),
+            device=known.device,
+            progress=self._log_progress,
         )
-        return sensor
 
-    def _tell_progress(self, share: float) -> None:
+    def _log_progress(self, share: float) -> None:
         self._node.get_logger().info(
             f"computing the gel's tables, once for each sensor: {100.0 * share:.0f} %",
             throttle_duration_sec=2.0,
@@ -237,7 +229,7 @@ class ConfiguredSensor:
         return self._is_active and self._is_enabled
 
     def _new_pace(self) -> FramePace:
-        return FramePace(rate_hz=self.settings.rate_hz, start_s=self._node.now_s())
+        return FramePace(rate_hz=self.settings.time.rate_hz, start_s=self._node.now_s())
 
     def _realtime_frame(self) -> None:
         stamp_ns = self._node.time_ns()
@@ -255,16 +247,16 @@ class ConfiguredSensor:
                 partial(self._publish, stamp_ns),
                 FRAMES_BROKEN,
             )
-            self._profile.end_frame(begun_s, period_s=1.0 / self.settings.rate_hz)
+            self._profile.end_frame(begun_s, period_s=1.0 / self.settings.time.rate_hz)
 
     def _passed_s(self, stamp_ns: int) -> float:
         """Return the time since the frame before, which may be some periods: frames are dropped."""
         last_ns, self._frame_ns = self._frame_ns, stamp_ns
         if last_ns is None or stamp_ns <= last_ns:
-            return 1.0 / self.settings.rate_hz
+            return 1.0 / self.settings.time.rate_hz
         passed_s = (stamp_ns - last_ns) / NANOSECONDS_PER_SECOND
         # As long as a velocity holds: after a clock's leap nothing moves through what it left out.
-        return min(passed_s, self.settings.input_timeout_s)
+        return min(passed_s, self.settings.motion.input_timeout_s)
 
     def _simulated(self, motions: Sequence[MotionOrder], passed_s: float) -> SensorMoment:
         """Return the next moment: of the motions since the last one, or of the gel that goes on."""
@@ -310,7 +302,10 @@ class ConfiguredSensor:
             self._node.get_logger().warning(
                 f"input: {missing}", throttle_duration_sec=MISSING_INPUT_LOG_S
             )
-        lag_m, maximum_lag_m = self._session.take_largest_lag_m(), self.settings.maximum_lag_m
+        lag_m, maximum_lag_m = (
+            self._session.take_largest_lag_m(),
+            self.settings.motion.maximum_lag_m,
+        )
         if lag_m > maximum_lag_m:
             self._node.get_logger().warning(lag_text(lag_m, maximum_lag_m), once=True)
         force = None if self._drive is None else self._drive.report()
@@ -320,13 +315,13 @@ class ConfiguredSensor:
             )
         return statuses(
             self._node.label,
-            f"{self._node.get_namespace().strip('/')}/{self.settings.sensor}".strip("/"),
+            f"{self._node.get_namespace().strip('/')}/{self.settings.sensor.sensor}".strip("/"),
             condition=Condition(
                 is_active=self._is_active,
                 is_enabled=self._is_enabled,
                 silence_s=self._input.silence_s(),
                 missing_input=missing,
-                timeout_s=self.settings.input_timeout_s if self._is_realtime else np.inf,
+                timeout_s=self.settings.motion.input_timeout_s if self._is_realtime else np.inf,
                 is_realtime=self._is_realtime,
                 late=self._pace.late + self._session.behind,
                 dropped=self._pace.dropped,
@@ -334,7 +329,7 @@ class ConfiguredSensor:
                 maximum_lag_m=maximum_lag_m,
                 profile=self._profile.values(),
                 clock_silence=self._node.clock_silence(),
-                duplicate_publishers=duplicate_publishers(self._node, self._outputs.topics),
+                rivals=self._outputs.rivals(),
             ),
             counter=self._counter,
             faults=self._faults,
@@ -361,25 +356,19 @@ class ConfiguredSensor:
         with self._lock:
             self._forget_motion()
             self._session.reset()
-        response.success, response.message = True, "the gel is at rest"
-        return response
+        return _answered(response, "the gel is at rest")
 
     def _on_calibrate_idle(self, _request: Any, response: Any) -> Any:
         with self._lock:
             if not self._is_active:
-                response.success = False
-                response.message = "the node is inactive, and publishes nothing: activate it"
-                return response
+                why = "the node is inactive, and publishes nothing: activate it"
+                return _answered(response, why, success=False)
             if self._session.is_touched():
-                response.success = False
-                response.message = "the indenter touches the gel: lift it, then calibrate"
-                return response
+                why = "the indenter touches the gel: lift it, then calibrate"
+                return _answered(response, why, success=False)
             self._outputs.publish_idle(self._session.relax().render(), self._node.time_ns())
-        response.success = True
-        response.message = (
-            f"the image at rest is on {self._node.get_fully_qualified_name()}/idle_image"
-        )
-        return response
+        place = f"{self._node.get_fully_qualified_name()}/idle_image"
+        return _answered(response, f"the image at rest is on {place}")
 
     def _on_reset_reference(self, message: Any) -> None:
         if message.data:
@@ -391,9 +380,7 @@ class ConfiguredSensor:
             self._is_enabled = request.data
             self._forget_motion()
             self._session.restart()
-        response.success = True
-        response.message = "enabled" if request.data else "disabled: no frames"
-        return response
+        return _answered(response, "enabled" if request.data else "disabled: no frames")
 
     def change(self, changed: TactileSimParameters) -> None:
         """Take changed parameters, all or none.
@@ -402,8 +389,8 @@ class ConfiguredSensor:
             ValueError, OSError: one does not work; those before stay.
         """
         indenter = None
-        if changed.indenter != self.settings.indenter:
-            indenter = load_indenter(changed.indenter)
+        if changed.sensor.indenter != self.settings.sensor.indenter:
+            indenter = load_indenter(changed.sensor.indenter)
         # All that may be refused comes before anything is changed, and what takes long (ten seconds
         # for the largest mesh) before the frames have to wait for it.
         self._outputs.framing_of(changed)
@@ -415,17 +402,36 @@ class ConfiguredSensor:
                 self._session.change_indenter(indenter)
                 self._input.forget()
             self._input.configure(changed)
-            has_new_rate = changed.rate_hz != self.settings.rate_hz
+            has_new_rate = changed.time.rate_hz != self.settings.time.rate_hz
             self.settings = changed
             if has_new_rate:
                 self._pace = self._new_pace()
-                self._session.first_dt_s = 1.0 / changed.rate_hz
+                self._session.first_dt_s = 1.0 / changed.time.rate_hz
+
+
+def _answered(response: Any, message: str, *, success: bool = True) -> Any:
+    response.success, response.message = success, message
+    return response
 
 
 def _check_messages(settings: TactileSimParameters) -> None:
     """Raise ValueError where messages are not installed, before the sensor is made, which takes
     long."""
-    if settings.pose_source == TF:
-        transform_message()
-    if settings.entity_indenter or settings.entity_sensor:
-        entity_message()
+    needed = {}
+    if settings.motion.pose_source == TF:
+        needed[TRANSFORMS] = (
+            "pose_source is tf",
+            "ros-jazzy-tf2-msgs, not with the wheels of PyPI: there set pose_source to topic or "
+            "odometry",
+        )
+    if settings.links.entity_indenter or settings.links.entity_sensor:
+        needed[ENTITY_WRENCH] = (
+            "entity_indenter or entity_sensor is set",
+            "ros-jazzy-ros-gz-interfaces: without it read external_wrench/indenter and "
+            "external_wrench/sensor",
+        )
+    for name, (why, where) in needed.items():
+        try:
+            message_class(name)
+        except (ImportError, ValueError) as error:
+            raise ValueError(f"{why}, but {error}; it comes with apt's {where}") from None

@@ -10,14 +10,13 @@ from functools import partial
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.force_pairing import ForcePairing, checked_force
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
-from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
 TOPIC = "indenter/wrench"
 """As a measured data set names the force of the gel on the indenter."""
@@ -40,7 +39,7 @@ class ForceInput:
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         parameters: TactileSimParameters,
         quality: QoSProfile,
         *,
@@ -50,21 +49,17 @@ class ForceInput:
     ) -> None:
         self._node, self._parameters = node, parameters
         self._guard, self._check_time, self._on_motion = guard, check_time, on_motion
-        self._is_realtime = parameters.clock == REALTIME
-        self._pairing = ForcePairing(maximum_step_s=parameters.maximum_step_s)
+        self._is_realtime = parameters.time.is_realtime
+        self._pairing = ForcePairing(maximum_step_s=parameters.motion.maximum_step_s)
         self._heard_s: float | None = None
-        node.create_subscription(
-            WrenchStamped,
-            TOPIC,
-            lambda message: guard(lambda: self._hear(message)),
-            quality,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        node.open_subscription(
+            WrenchStamped, TOPIC, lambda message: guard(lambda: self._hear(message)), quality
         )
 
     def configure(self, parameters: TactileSimParameters) -> None:
         """Take changed limits."""
         self._parameters = parameters
-        self._pairing.maximum_step_s = parameters.maximum_step_s
+        self._pairing.maximum_step_s = parameters.motion.maximum_step_s
 
     def forget(self) -> None:
         """Begin again: no force is known, and no pose waits for one."""
@@ -90,7 +85,7 @@ class ForceInput:
         if self._heard_s is None:
             return f"no force on {TOPIC} so far: the indenter stays clear of the skin"
         silence_s = self._node.now_s() - self._heard_s
-        if silence_s <= self._parameters.input_timeout_s:
+        if silence_s <= self._parameters.motion.input_timeout_s:
             return ""
         return f"no force on {TOPIC} for {silence_s:.1f} s: the last one holds"
 
@@ -114,8 +109,8 @@ class ForceInput:
                 force_n,
                 stamp_ns,
                 message.header.frame_id,
-                base_frame=self._parameters.base_frame,
-                indenter_frame=self._parameters.indenter_frame,
+                base_frame=self._parameters.frames.base_frame,
+                indenter_frame=self._parameters.frames.indenter_frame,
             )
         )
         self._heard_s = self._node.now_s()

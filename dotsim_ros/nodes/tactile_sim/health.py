@@ -102,7 +102,7 @@ class Condition:
         maximum_lag_m: how far is normal.
         profile: what is told of it.
         clock_silence: that the time of the frames does not move on, in words; empty where it does.
-        duplicate_publishers: who else publishes what this sensor does, in words; empty for nobody.
+        rivals: who else publishes what this sensor does, in words; empty for nobody.
     """
 
     is_active: bool
@@ -117,7 +117,7 @@ class Condition:
     maximum_lag_m: float
     profile: Mapping[str, str]
     clock_silence: str = ""
-    duplicate_publishers: str = ""
+    rivals: str = ""
 
 
 def statuses(
@@ -159,8 +159,8 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
         return Level.WARN, "disabled: call set_enabled to continue", values
     if condition.clock_silence:
         return Level.WARN, condition.clock_silence, values
-    if condition.duplicate_publishers:
-        return Level.WARN, condition.duplicate_publishers, values
+    if condition.rivals:
+        return Level.WARN, condition.rivals, values
     if condition.is_realtime and counter.count and condition.dropped > 0.01 * counter.count:
         return Level.WARN, "frames are dropped: the machine is too slow for this rate", values
     if condition.lag_m > condition.maximum_lag_m:

@@ -127,13 +127,8 @@ class MotionGate:
 
 
 def after_last(now_ns: int, last_ns: int | None, *, maximum_step_s: float) -> int:
-    """Return the time of a message that is meant for now and that comes after another one.
-
-    Args:
-        now_ns: of the clock, which may stand still since the last message, or have been set back.
-        last_ns: stamp of that message; None for none.
-        maximum_step_s: a clock that went back further than this has begun again.
-    """
+    """Return the time of a message that is meant for now and comes after one that was stamped
+    `last_ns`: the clock may stand still since then, or have gone back to begin again."""
     if last_ns is None or last_ns - now_ns > maximum_step_s * NANOSECONDS_PER_SECOND:
         return now_ns
     return max(now_ns, last_ns + 1)

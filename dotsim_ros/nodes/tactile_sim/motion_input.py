@@ -15,7 +15,6 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose
@@ -23,7 +22,6 @@ from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.printable import cut
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import (
     Fault,
     FaultLog,
@@ -31,6 +29,7 @@ from dotsim_ros.nodes.common.ingest import (
     RefusedInputError,
     TimeRestart,
 )
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.reasons import LONGEST_REASON
 from dotsim_ros.nodes.tactile_sim.force_input import ForceInput
 from dotsim_ros.nodes.tactile_sim.motion import (
@@ -44,7 +43,6 @@ from dotsim_ros.nodes.tactile_sim.parameters import (
     BY_FORCE,
     ODOMETRY,
     POSE,
-    REALTIME,
     TF,
     TWIST,
     TWIST_STAMPED,
@@ -91,7 +89,7 @@ class MotionInput:
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         parameters: TactileSimParameters,
         *,
         faults: FaultLog,
@@ -103,21 +101,21 @@ class MotionInput:
         self._on_motion = on_motion
         self._lock = Lock()
         self._time_restart = TimeRestart()
-        self._arbiter = InputArbiter(timeout_s=parameters.input_timeout_s)
+        self._arbiter = InputArbiter(timeout_s=parameters.motion.input_timeout_s)
         self._gate = MotionGate(
-            base_frame=parameters.base_frame,
-            maximum_jump_m=parameters.maximum_jump_m,
-            maximum_step_s=parameters.maximum_step_s,
+            base_frame=parameters.frames.base_frame,
+            maximum_jump_m=parameters.motion.maximum_jump_m,
+            maximum_step_s=parameters.motion.maximum_step_s,
         )
-        self._pose = parameters.start_pose()
+        self._pose = parameters.motion.start_pose()
         self._velocity: Velocity | None = None
         self._carried: _Carried | None = None
         # When the indenter was last moved; None before.
         self._moved_ns: int | None = None
-        self._is_realtime = parameters.clock == REALTIME
+        self._is_realtime = parameters.time.is_realtime
         self._started_s = node.now_s()
         self._forces: ForceInput | None = None
-        if parameters.control == BY_FORCE:
+        if parameters.motion.control == BY_FORCE:
             self._forces = ForceInput(
                 node,
                 parameters,
@@ -129,7 +127,7 @@ class MotionInput:
             if not self._is_realtime:
                 self._on_motion = self._forces.hold
         self._transforms: TransformInput | None = None
-        if parameters.pose_source == TF:
+        if parameters.motion.pose_source == TF:
             self._transforms = TransformInput(
                 node,
                 parameters,
@@ -137,12 +135,12 @@ class MotionInput:
                 check_time=self._check_time,
                 on_pose=self._take_transform,
             )
-        elif parameters.pose_source == ODOMETRY:
+        elif parameters.motion.pose_source == ODOMETRY:
             self._subscribe(Odometry, "indenter/odometry", self._hear_odometry)
-        elif parameters.input != TWIST:
+        elif parameters.motion.input != TWIST:
             self._subscribe(PoseStamped, "indenter/pose", self._hear_pose)
-        if parameters.input != POSE:
-            kind = TwistStamped if parameters.twist_message == TWIST_STAMPED else Twist
+        if parameters.motion.input != POSE:
+            kind = TwistStamped if parameters.motion.twist_message == TWIST_STAMPED else Twist
             self._subscribe(kind, "indenter/twist", self._hear_twist)
 
     def silence_s(self) -> float | None:
@@ -153,7 +151,7 @@ class MotionInput:
         """Return why there can be no pose, or which force has not come, in words, once there should
         have been one; empty where nothing is known to be wrong."""
         waited_s = self._node.now_s() - self._started_s
-        if waited_s < self._parameters.input_timeout_s:
+        if waited_s < self._parameters.motion.input_timeout_s:
             return ""
         missing = "" if self._transforms is None else self._transforms.missing()
         if not missing and self._forces is not None:
@@ -170,7 +168,7 @@ class MotionInput:
 
     def world_rotation(self) -> FloatArray | None:
         """Return the (3, 3) rotation from the base to the world; None where it is not known yet."""
-        if self._transforms is None or not self._parameters.world_frame:
+        if self._transforms is None or not self._parameters.frames.world_frame:
             return np.eye(3)
         return self._transforms.world_rotation()
 
@@ -185,7 +183,7 @@ class MotionInput:
             self._velocity = None
             self._carried = None
             self._moved_ns = None
-            self._pose = self._parameters.start_pose()
+            self._pose = self._parameters.motion.start_pose()
 
     def restart(self, *, before_ns: int) -> None:
         """Start again, since the clock has gone back: stamps of its new time are accepted.
@@ -208,9 +206,9 @@ class MotionInput:
         """Take changed limits."""
         with self._lock:
             self._parameters = parameters
-            self._arbiter.timeout_s = parameters.input_timeout_s
-            self._gate.maximum_jump_m = parameters.maximum_jump_m
-            self._gate.maximum_step_s = parameters.maximum_step_s
+            self._arbiter.timeout_s = parameters.motion.input_timeout_s
+            self._gate.maximum_jump_m = parameters.motion.maximum_jump_m
+            self._gate.maximum_step_s = parameters.motion.maximum_step_s
         if self._transforms is not None:
             self._transforms.configure(parameters)
         if self._forces is not None:
@@ -244,12 +242,8 @@ class MotionInput:
     def _subscribe(
         self, kind: type, topic: str, callback: Callable[[msg_adapters.Message], None]
     ) -> None:
-        self._node.create_subscription(
-            kind,
-            topic,
-            lambda message: self._hear(callback, message),
-            self._quality(),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        self._node.open_subscription(
+            kind, topic, lambda message: self._hear(callback, message), self._quality()
         )
 
     def _quality(self) -> QoSProfile:
@@ -282,17 +276,17 @@ class MotionInput:
         self._take("indenter/pose", pose, stamp_ns, frame_id=message.header.frame_id)
 
     def _take_transform(self, pose: Pose, stamp_ns: int) -> None:
-        self._take("/tf", pose, stamp_ns, frame_id=self._parameters.base_frame)
+        self._take("/tf", pose, stamp_ns, frame_id=self._parameters.frames.base_frame)
 
     def _hear_odometry(self, message: Odometry) -> None:
         placed, moving = msg_adapters.decode_odometry(message)
         pose, velocity = Pose(*placed), Velocity(*moving, TwistFrame.OWN)
-        if message.child_frame_id != self._parameters.indenter_frame:
+        if message.child_frame_id != self._parameters.frames.indenter_frame:
             raise RefusedInputError(
                 Fault.FRAME,
                 f"child_frame_id of the odometry is {value_text(message.child_frame_id)}, expected "
-                f"{self._parameters.indenter_frame!r}: set the parameter indenter_frame, or have "
-                "the odometry of the indenter published",
+                f"{self._parameters.frames.indenter_frame!r}: set the parameter indenter_frame, or "
+                "have the odometry of the indenter published",
             )
         stamp_ns = self._stamp_ns(message)
         motion = self._take("indenter/odometry", pose, stamp_ns, frame_id=message.header.frame_id)
@@ -310,8 +304,8 @@ class MotionInput:
         if isinstance(message, TwistStamped):
             axes = velocity_axes(
                 message.header.frame_id,
-                base_frame=self._parameters.base_frame,
-                indenter_frame=self._parameters.indenter_frame,
+                base_frame=self._parameters.frames.base_frame,
+                indenter_frame=self._parameters.frames.indenter_frame,
             )
             linear, angular = msg_adapters.decode_twist_stamped(message)
         else:
@@ -324,11 +318,11 @@ class MotionInput:
             with self._lock:
                 self._velocity = velocity
             return
-        last_ns, duration_s = self._moved_ns, 1.0 / self._parameters.rate_hz
+        last_ns, duration_s = self._moved_ns, 1.0 / self._parameters.time.rate_hz
         if last_ns is not None:
             duration_s = max(0.0, (stamp_ns - last_ns) / NANOSECONDS_PER_SECOND)
         # A silence is no motion: a controller that has stopped must not move the indenter on.
-        duration_s = min(duration_s, self._parameters.input_timeout_s)
+        duration_s = min(duration_s, self._parameters.motion.input_timeout_s)
         self._move(velocity.moved(self._pose, duration_s), stamp_ns)
 
     def _stamp_ns(self, message: PoseStamped | TwistStamped | Odometry) -> int:
@@ -345,7 +339,7 @@ class MotionInput:
 
     def _move(self, pose: Pose, stamp_ns: int) -> MotionOrder:
         with self._lock:
-            motion = self._gate.hear(pose, stamp_ns, frame_id=self._parameters.base_frame)
+            motion = self._gate.hear(pose, stamp_ns, frame_id=self._parameters.frames.base_frame)
             # Together, whatever the gel says to it: the time up to here has passed.
             self._pose, self._moved_ns = pose, stamp_ns
         if motion.new_start is not None:

@@ -10,22 +10,28 @@ wrench come out.
 from __future__ import annotations
 
 from dotsim_ros.nodes.common.declare import declare_fields, follow, read
-from dotsim_ros.nodes.common.managed_node import ManagedNode
+from dotsim_ros.nodes.common.life_cycle import LifeCycle
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.common.transport import carry_images
 from dotsim_ros.nodes.tactile_sim.configured_sensor import ConfiguredSensor
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
 
-class TactileSim(ManagedNode):
+class TactileSim(WorkingNode):
     """The node; parameters, topics, services and states as docs/run.md lists them."""
 
     def __init__(self) -> None:
         super().__init__("tactile_sim")
+        self._life_cycle = LifeCycle(self, self)
         self._sensor: ConfiguredSensor | None = None
         declare_fields(self, TactileSimParameters)
-        follow(self, self._settings, self._change)
-        self.start()
+        follow(self, self._settings, lambda changed: self._configured().change(changed))
+        self._life_cycle.start()
+
+    def begin(self) -> None:
+        """Activate the node, where it starts by itself."""
+        self._life_cycle.begin()
 
     def configure(self) -> None:
         """Load the sensor, and make its simulation, topics and services."""
@@ -44,14 +50,11 @@ class TactileSim(ManagedNode):
         self._sensor = None
 
     def _configured(self) -> ConfiguredSensor:
-        assert self._sensor is not None, "the state machine lets nobody activate what is not there"
+        assert self._sensor is not None, "the state machine activates only what is configured"
         return self._sensor
 
     def _settings(self) -> TactileSimParameters | None:
         return None if self._sensor is None else self._sensor.settings
-
-    def _change(self, changed: TactileSimParameters) -> None:
-        self._configured().change(changed)
 
 
 def main() -> int:

@@ -111,13 +111,8 @@ def resolve_profile(name: str, *, is_lockstep: bool, is_simulated_time: bool = F
 def solver_of(
     profile: Profile, sensor: SensorSpecification, *, grid_spacing_m: float = 0.0
 ) -> SolverSpecification:
-    """Return a sensor's solver under a profile.
-
-    Args:
-        profile: the bounds.
-        sensor: whose solver.
-        grid_spacing_m: in place of what sensor and profile say; 0: nothing.
-    """
+    """Return a sensor's solver under a profile; a grid spacing other than 0 takes the place of what
+    both say."""
     own = sensor.solver
     spacing_m = own.grid_spacing_m
     if profile.grid_factor > 1.0:

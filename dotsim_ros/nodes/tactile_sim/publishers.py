@@ -5,24 +5,23 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
 from numpy.typing import NDArray
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray, ImageArray
-from dotsim_ros.nodes.tactile_sim.difference import difference_image
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.framing import Framing, encoded_pixels
-from dotsim_ros.nodes.tactile_sim.output_parameters import AXIAL
-from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.parameters import AXIAL, TactileSimParameters
 from dotsim_ros.optics.depth import DepthConversion, radius_bytes
 from dotsim_ros.optics.noise import with_noise
 
@@ -34,6 +33,10 @@ if TYPE_CHECKING:
 # Reliable serves best-effort readers too; 5 is what viewers ask for.
 FRAME_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+ADVICE = (
+    "give each a namespace (-r __ns:=/left, namespace:=left of a launch file), or topics of its own"
+)
 
 
 class _Header(TypedDict):
@@ -56,48 +59,54 @@ class FramePublishers:
 
     def __init__(
         self,
-        node: Node,
+        node: WorkingNode,
         sensor: TactileSensor,
         parameters: TactileSimParameters,
         *,
         noise: NoiseSpecification,
     ) -> None:
-        self._sensor, self._noise = sensor, noise
+        self._node, self._sensor, self._noise = node, sensor, noise
+        publisher = partial(node.open_publisher, quality=FRAME_QOS)
         self._reference: ImageArray | None = None
         self._calibration: msg_adapters.CameraCalibration | None = None
         self._depth_of: DepthConversion | None = None
         self._framing = self.framing_of(parameters)
         # A network, and effects that were found, know images of the sensor's own size.
-        self._renders_part = not (sensor.has_network or parameters.effects)
+        self._renders_part = not (sensor.has_network or parameters.sensor.effects)
         self.configure(parameters)
-        self._image = self._publisher(node, Image, parameters.image_topic)
+        self._image = publisher(Image, parameters.topics.image_topic)
         # Of the topic as it is after a remap, so that what belongs to an image goes along with it.
         image_topic = self._image.topic_name
-        self._compressed = self._publisher(node, CompressedImage, f"{image_topic}/compressed")
-        self._camera_info = self._publisher(
-            node,
+        self._compressed = publisher(CompressedImage, f"{image_topic}/compressed")
+        self._camera_info = publisher(
             CameraInfo,
-            parameters.camera_info_topic or _beside(node, image_topic, "camera_info"),
+            parameters.topics.camera_info_topic or _beside(node, image_topic, "camera_info"),
         )
-        self._difference = self._publisher(node, Image, parameters.difference_topic)
-        self._difference_compressed = self._publisher(
-            node, CompressedImage, f"{self._difference.topic_name}/compressed"
+        self._difference = publisher(Image, parameters.topics.difference_topic)
+        self._difference_compressed = publisher(
+            CompressedImage, f"{self._difference.topic_name}/compressed"
         )
-        self._depth = self._publisher(node, Image, "depth/image")
-        self._radius = self._publisher(node, Image, parameters.radius_topic)
-        self._radius_shown = self._publisher(node, Image, parameters.radius_shown_topic)
-        self._points = self._publisher(node, PointCloud2, "points")
+        self._depth = publisher(Image, "depth/image")
+        self._radius = publisher(Image, parameters.topics.radius_topic)
+        self._radius_shown = publisher(Image, parameters.topics.radius_shown_topic)
+        self._points = publisher(PointCloud2, "points")
         self._markers = None
         if sensor.markers is not None:
-            self._markers = self._publisher(node, PointCloud2, "markers")
-        self._wrench = self._publisher(node, WrenchStamped, parameters.wrench_topic)
-        self._state = self._publisher(node, PoseStamped, "indenter/state")
+            self._markers = publisher(PointCloud2, "markers")
+        self._wrench = publisher(WrenchStamped, parameters.topics.wrench_topic)
+        self._state = publisher(PoseStamped, "indenter/state")
         self._idle = node.create_publisher(Image, "~/idle_image", LATCHED_QOS)
 
-    @property
-    def topics(self) -> tuple[str, str]:
-        """Names, as they are, of the topics by which readers know the sensor."""
-        return self._image.topic_name, self._wrench.topic_name
+    def rivals(self) -> str:
+        """Return who else publishes the images or the wrench, in words; empty where nobody does:
+        two sensors may have been started under one name."""
+        for topic in (self._image.topic_name, self._wrench.topic_name):
+            if self._node.count_publishers(topic) < 2:
+                continue
+            others = self._node.get_publishers_info_by_topic(topic)
+            names = sorted(f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in others)
+            return f"{topic} has {len(names)} publishers ({', '.join(names)}): {ADVICE}"
+        return ""
 
     def framing_of(self, parameters: TactileSimParameters) -> Framing:
         """Return what of the sensor's image parameters ask for.
@@ -107,9 +116,9 @@ class FramePublishers:
         """
         return Framing.of_camera(
             self._sensor.whole_camera,
-            crop_px=parameters.crop_px,
-            image_size_px=parameters.image_size_px,
-            image_aspect=parameters.image_aspect,
+            crop_px=parameters.image.crop_px,
+            image_size_px=parameters.image.image_size_px,
+            image_aspect=parameters.image.image_aspect,
         )
 
     def configure(self, parameters: TactileSimParameters) -> None:
@@ -123,7 +132,7 @@ class FramePublishers:
             self._sensor.set_view(framing.crop_px, framing.rendered_px)
         if framing != self._framing:
             self._reference = self._depth_of = None
-        self._framing, self._parameters = framing, parameters
+        self._framing, self._frames, self._form = framing, parameters.frames, parameters.image
         self._intrinsics = framing.intrinsics(self._sensor.whole_camera)
 
     def shows_image(self) -> bool:
@@ -141,8 +150,8 @@ class FramePublishers:
 
     def publish(self, moment: SensorMoment, stamp_ns: int) -> None:
         """Publish a moment on every topic with a subscriber; render it only for an image."""
-        optical: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.optical_frame}
-        base: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.base_frame}
+        optical: _Header = {"stamp_ns": stamp_ns, "frame_id": self._frames.optical_frame}
+        base: _Header = {"stamp_ns": stamp_ns, "frame_id": self._frames.base_frame}
         if self._is_shown(self._image):
             self._image.publish(self._image_message(moment.render().image, stamp_ns))
         if _is_read(self._camera_info):
@@ -191,7 +200,7 @@ class FramePublishers:
         )
 
     def _is_shown(self, publisher: Publisher) -> bool:
-        return _is_read(publisher) and not self._parameters.fail_drop_images
+        return _is_read(publisher) and not self._form.fail_drop_images
 
     def check_calibration(self, calibration: msg_adapters.CameraCalibration) -> None:
         """Refuse a calibration that camera_info could not show.
@@ -236,10 +245,10 @@ class FramePublishers:
         difference = difference_image(
             self._framed(self._noisy(moment.render().image, header["stamp_ns"])),
             self._framed(reference),
-            self._parameters.difference_gain,
+            self._form.difference_gain,
         )
         if self._is_shown(plain):
-            encoding = self._parameters.encoding
+            encoding = self._form.encoding
             pixels = encoded_pixels(difference, encoding)
             plain.publish(msg_adapters.encode_image(pixels, encoding=encoding, **header))
         if self._is_shown(compressed):
@@ -248,7 +257,7 @@ class FramePublishers:
     def _publish_depth(self, moment: SensorMoment, header: _Header) -> None:
         if self._is_shown(self._depth):
             depth_m = moment.render().depth_m
-            if self._parameters.depth_convention == AXIAL:
+            if self._form.depth_convention == AXIAL:
                 depth_m = self._conversion().axial_m(depth_m)
             # Never averaged: between skin and nothing lies no skin.
             depth_m = self._framed(depth_m, interpolation=cv2.INTER_NEAREST)
@@ -256,7 +265,7 @@ class FramePublishers:
         if not (self._is_shown(self._radius) or self._is_shown(self._radius_shown)):
             return
         radius = radius_bytes(
-            self._conversion().radius_m(moment.render().depth_m), self._parameters.radius_limits_m
+            self._conversion().radius_m(moment.render().depth_m), self._form.radius_limits_m
         )
         radius = self._framed(radius, interpolation=cv2.INTER_NEAREST)
         if self._is_shown(self._radius):
@@ -278,8 +287,8 @@ class FramePublishers:
     def _compressed_message(self, pixels: ImageArray, header: _Header) -> Any:
         return msg_adapters.encode_compressed_image(
             pixels,
-            compression=self._parameters.compression,
-            quality=self._parameters.jpeg_quality,
+            compression=self._form.compression,
+            quality=self._form.jpeg_quality,
             **header,
         )
 
@@ -289,10 +298,10 @@ class FramePublishers:
 
     def _image_message(self, rgb: np.ndarray[Any, np.dtype[np.uint8]], stamp_ns: int) -> Any:
         return msg_adapters.encode_image(
-            encoded_pixels(self._framed(self._noisy(rgb, stamp_ns)), self._parameters.encoding),
-            encoding=self._parameters.encoding,
+            encoded_pixels(self._framed(self._noisy(rgb, stamp_ns)), self._form.encoding),
+            encoding=self._form.encoding,
             stamp_ns=stamp_ns,
-            frame_id=self._parameters.optical_frame,
+            frame_id=self._frames.optical_frame,
         )
 
     def _noisy(
@@ -300,20 +309,15 @@ class FramePublishers:
     ) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """Return an image with the camera's noise, which the stamp draws: the raw and the
         compressed image of a frame have the same, and so has a frame that is simulated again."""
-        levels = self._parameters.image_noise_levels
+        levels = self._form.image_noise_levels
         channels = self._sensor.specification.camera.channel_count
         if levels < 0.0:
             seed = (self._noise.seed, stamp_ns)
             return with_noise(rgb, self._noise.deviation_levels, seed, channel_count=channels)
         return with_noise(rgb, levels, stamp_ns, channel_count=channels)
 
-    @staticmethod
-    def _publisher(node: Node, kind: type[Any], topic: str) -> Publisher:
-        overriding = QoSOverridingOptions.with_default_policies()
-        return node.create_publisher(kind, topic, FRAME_QOS, qos_overriding_options=overriding)
 
-
-def _beside(node: Node, topic: str, name: str) -> str:
+def _beside(node: WorkingNode, topic: str, name: str) -> str:
     """Return the topic of a name next to another, unless the user has renamed it on its own."""
     given = node.resolve_topic_name(name)
     is_renamed = given != node.resolve_topic_name(name, only_expand=True)
@@ -322,3 +326,43 @@ def _beside(node: Node, topic: str, name: str) -> str:
 
 def _is_read(publisher: Publisher) -> bool:
     return bool(publisher.get_subscription_count() > 0)
+
+
+def difference_image(image: ImageArray, reference: ImageArray, gain: float) -> ImageArray:
+    """Return (H, W, 3) the amplified absolute difference of two images in grey.
+
+    So does the public ROS 2 driver of two DenseTact sensors: grey levels, absolute difference,
+    times 8, clipped, in three equal channels.
+
+    Args:
+        image, reference: (H, W, 3) uint8, red, green, blue.
+        gain: of the difference.
+    """
+    grey, before = (
+        cv2.cvtColor(np.ascontiguousarray(each), cv2.COLOR_RGB2GRAY) for each in (image, reference)
+    )
+    amplified = cv2.convertScaleAbs(cv2.absdiff(grey, before), alpha=gain)
+    return np.asarray(cv2.cvtColor(amplified, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+
+
+def publish_static_frame(node: WorkingNode, pose: Pose, *, parent: str, child: str) -> Any | None:
+    """Publish the pose of a child frame in its parent, once, kept for late readers.
+
+    Returns:
+        The broadcaster, to be kept alive; None where tf2_ros is not installed.
+    """
+    try:
+        from tf2_ros import StaticTransformBroadcaster
+    except ImportError:
+        node.get_logger().info("tf2_ros is not installed: no transform on /tf_static")
+        return None
+    message = TransformStamped()
+    message.header.stamp = node.get_clock().now().to_msg()
+    message.header.frame_id, message.child_frame_id = parent, child
+    x, y, z = pose.position_m.tolist()
+    translation, rotation = message.transform.translation, message.transform.rotation
+    translation.x, translation.y, translation.z = x, y, z
+    rotation.x, rotation.y, rotation.z, rotation.w = pose.quaternion_xyzw.tolist()
+    broadcaster = StaticTransformBroadcaster(node)
+    broadcaster.sendTransform(message)
+    return broadcaster

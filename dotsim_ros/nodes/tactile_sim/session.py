@@ -44,14 +44,8 @@ WARM_UP_DEPTH_M = 0.0005
 
 
 class SensorMoment:
-    """The gel under an indenter, and what the camera sees of it, rendered on demand.
-
-    Args:
-        sensor: which sees.
-        gel: what it sees.
-        pose: of the indenter.
-        camera: what effects make of a frame's image; None for nothing.
-    """
+    """The gel under an indenter at a pose, and what the camera sees of it, rendered on demand; a
+    `camera` returns what effects make of a frame's image."""
 
     def __init__(
         self,
@@ -181,14 +175,10 @@ class SensorSession:
 
     def advance(self, step_s: float | None = None) -> SensorMoment:
         """Go on along the poses that were ordered, or to the newest force; where both are reached,
-        let a gel that remembers, or an effect, evolve under the held indenter.
+        let a gel that remembers, or an effect, evolve under the held indenter. Errors as `follow`.
 
-        Args:
-            step_s: time since the frame before, where no pose has been ordered since, whose stamps
-                tell; by default that of a motion that nothing leads to.
-
-        Raises:
-            RefusedInputError: as `follow`.
+        `step_s` is the time since the frame before, by default `first_dt_s`; where a pose has been
+        ordered since, its stamp gives it.
         """
         if self._path.newest is None or self._is_broken:
             return self.moment
@@ -247,14 +237,8 @@ class SensorSession:
         before_m: FloatArray | None,
         move: Move | None = None,
     ) -> SensorMoment:
-        """Return the moment after a move that effects, or a force, have made one to this pose.
-
-        Args:
-            pose: of the indenter, None for none.
-            step_s: since the frame before.
-            before_m: (V, 3) the skin then; None where nothing leads here.
-            move: as commanded.
-        """
+        """Return the moment after a commanded move that effects, or a force, have made one to this
+        pose, `step_s` after the frame whose skin was `before_m` (V, 3)."""
         way = [pose]
         if pose is not None and move is not None:
             shift_m = pose.position_m - move.pose.position_m
@@ -316,10 +300,8 @@ class SensorSession:
         self._rest(None)
 
     def relax(self) -> SensorMoment:
-        """Bring the gel to rest next to an indenter that does not touch it; return what is seen.
-
-        Where it is and where it is led to stay as they are; the time of the session goes on.
-        """
+        """Bring the gel to rest next to an indenter that does not touch it and stays on its way;
+        return what is seen. The time of the session goes on."""
         self._rest(self.moment.pose)
         return self.moment
 
@@ -354,12 +336,8 @@ class SensorSession:
     def change_solver(
         self, solver: SolverSpecification, *, limit_m: float, largest_jump_m: float
     ) -> float:
-        """Solve the next frames otherwise, from where the gel is; return how far the skin jumps.
-
-        Args:
-            solver: for the next frames.
-            limit_m: how far the indenter may move in contact in one of them.
-            largest_jump_m: as `TactileSensor.set_solver`.
+        """Solve the next frames by another solver and with another limit, from where the gel is;
+        return how far the skin jumps.
 
         Raises:
             SkinJumpError: the skin would jump farther; solver and limit stay.

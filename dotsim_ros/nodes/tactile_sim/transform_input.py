@@ -14,16 +14,16 @@ from functools import partial
 from threading import Lock
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.geometry.frame_tree import FrameTree, OutOfOrderError
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
-from dotsim_ros.nodes.tactile_sim.parameters import LOCKSTEP, TactileSimParameters
+from dotsim_ros.nodes.common.node import WorkingNode
+from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 # As tf2_ros listens: a message holds some of the frames, so that the newest alone is not enough.
 REALTIME_QOS = QoSProfile(depth=100)
 LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL)
@@ -39,14 +39,11 @@ class TransformInput:
         guard: does something with an input, and counts and logs it where it is refused.
         check_time: refuses a stamp (ns) of the time before the clock went back.
         on_pose: takes the pose of the indenter in the base frame at each new time (ns).
-
-    Raises:
-        ValueError: tf2_msgs is not installed.
     """
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         parameters: TactileSimParameters,
         *,
         guard: Callable[[Callable[[], object]], None],
@@ -54,20 +51,20 @@ class TransformInput:
         on_pose: Callable[[Pose, int], None],
     ) -> None:
         self._guard, self._check_time, self._on_pose = guard, check_time, on_pose
-        self._pair = (parameters.base_frame, parameters.indenter_frame)
-        self._world = (parameters.world_frame, parameters.base_frame)
-        pairs = [self._pair, self._world] if parameters.world_frame else [self._pair]
+        self._pair = (parameters.frames.base_frame, parameters.frames.indenter_frame)
+        self._world = (parameters.frames.world_frame, parameters.frames.base_frame)
+        pairs = [self._pair, self._world] if parameters.frames.world_frame else [self._pair]
         self._lock = Lock()
-        self._tree = FrameTree(pairs, maximum_step_s=parameters.maximum_step_s)
+        self._tree = FrameTree(pairs, maximum_step_s=parameters.motion.maximum_step_s)
         self._last_ns: int | None = None
-        is_lockstep = parameters.clock == LOCKSTEP
-        self._subscribe(node, "/tf", LOCKSTEP_QOS if is_lockstep else REALTIME_QOS, False)
+        quality = REALTIME_QOS if parameters.time.is_realtime else LOCKSTEP_QOS
+        self._subscribe(node, "/tf", quality, False)
         self._subscribe(node, "/tf_static", STATIC_QOS, True)
 
     def configure(self, parameters: TactileSimParameters) -> None:
         """Take changed limits."""
         with self._lock:
-            self._tree.maximum_step_s = parameters.maximum_step_s
+            self._tree.maximum_step_s = parameters.motion.maximum_step_s
 
     def forget(self) -> None:
         """Pass on the pose that is known as soon as the next transform comes."""
@@ -97,13 +94,12 @@ class TransformInput:
             found = self._tree.locate(*self._world)
         return None if found is None else found[0].rotation()
 
-    def _subscribe(self, node: GuardedNode, topic: str, quality: QoSProfile, static: bool) -> None:
-        node.create_subscription(
-            transform_message(),
+    def _subscribe(self, node: WorkingNode, topic: str, quality: QoSProfile, static: bool) -> None:
+        node.open_subscription(
+            msg_adapters.message_class(TRANSFORMS),
             topic,
             lambda message: self._hear(message, is_static=static),
             quality,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
     def _hear(self, message: msg_adapters.Message, *, is_static: bool) -> None:
@@ -135,19 +131,3 @@ class TransformInput:
         if found is not None and found[1] != self._last_ns:
             self._last_ns = found[1]
             self._on_pose(*found)
-
-
-def transform_message() -> type:
-    """Return the class tf2_msgs/msg/TFMessage.
-
-    Raises:
-        ValueError: tf2_msgs is not installed.
-    """
-    try:
-        found: type = msg_adapters.message_class("tf2_msgs/msg/TFMessage")
-    except ImportError as error:
-        raise ValueError(
-            f"pose_source is tf, but {error}; it comes with apt's ros-jazzy-tf2-msgs, not with the "
-            "wheels of PyPI: there set pose_source to topic or odometry"
-        ) from None
-    return found

@@ -18,7 +18,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.health import statuses_of
-from dotsim_ros.nodes.common.spin import BROKEN, WorkingNode, run_node
+from dotsim_ros.nodes.common.node import BROKEN, WorkingNode
+from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
 from dotsim_ros.nodes.simulated_time.speed_limit import SpeedLimit
 from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings, SteppingError

@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from dotsim_ros.io.files import parameter_path
-from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.io.quantity import check_fields, quantity
+from dotsim_ros.nodes.common.parameters import READ_ONLY
 from dotsim_ros.nodes.simulated_time.participants import (
     SHORTEST_PERIOD_S,
     Participant,
@@ -29,57 +30,44 @@ class TimeStepperParameters:
         ValueError: a value out of its range.
     """
 
-    participants: str = option(
+    FIXED: ClassVar[str] = READ_ONLY
+
+    participants: str = quantity(
         "",
-        "YAML file of the nodes that time waits for (empty: the shipped participants.yaml)",
+        help="YAML file of the nodes that time waits for (empty: the shipped participants.yaml)",
         is_path=True,
-        read_only=True,
     )
-    period_s: float = option(0.01, "simulated time of a step, 0.001 to 1 s", read_only=True)
-    speed: float = option(
+    period_s: float = quantity(
+        0.01,
+        help="simulated time of a step; a longer one leaves out what is due within it",
+        low=SHORTEST_PERIOD_S,
+        high=LONGEST_STEP_S,
+    )
+    speed: float = quantity(
         0.0,
-        "simulated seconds for each real one; 0: as many as the machine gives",
-        minimum=0.0,
-        maximum=1000.0,
-        read_only=True,
+        help="simulated seconds for each real one; 0: as many as the machine gives",
+        low=0.0,
+        high=1000.0,
     )
-    start_s: float = option(
-        1.0,
-        "simulated time to begin at; above zero, which means no time",
-        minimum=1e-3,
-        maximum=2e9,
-        read_only=True,
+    start_s: float = quantity(
+        1.0, help="simulated time to begin at; above zero, which means no time", low=1e-3, high=2e9
     )
-    patience_s: float = option(
+    patience_s: float = quantity(
         120.0,
-        "how long a participant may take to come, or for one step, before all ends",
-        minimum=0.1,
-        maximum=3600.0,
-        read_only=True,
+        help="how long a participant may take to come, or for one step, before all ends",
+        low=0.1,
+        high=3600.0,
     )
-    paused: bool = option(False, "begin paused: time goes on by ~/step only", read_only=True)
-    steps_per_call: int = option(
-        1,
-        "steps that one call of ~/step takes",
-        minimum=1,
-        maximum=LARGEST_STEP_COUNT,
-        read_only=True,
+    paused: bool = quantity(False, help="begin paused: time goes on by ~/step only")
+    steps_per_call: int = quantity(
+        1, help="steps that one call of ~/step takes", low=1, high=LARGEST_STEP_COUNT
     )
-    diagnostics_period_s: float = option(
-        1.0, "real time between two reports", minimum=0.05, maximum=60.0, read_only=True
+    diagnostics_period_s: float = quantity(
+        1.0, help="real time between two reports", low=0.05, high=60.0
     )
 
     def __post_init__(self) -> None:
-        # Not a range that ROS knows: it would refuse without saying why.
-        if not (
-            math.isfinite(self.period_s) and SHORTEST_PERIOD_S <= self.period_s <= LONGEST_STEP_S
-        ):
-            raise ValueError(
-                f"period_s is {self.period_s:g}, expected the simulated time of a step, "
-                f"{SHORTEST_PERIOD_S:g} to {LONGEST_STEP_S:g} s: time stands still in a step of "
-                "zero, and a longer one leaves out what is due within it"
-            )
-        check_options(self)
+        check_fields("", self)
 
     def awaited(self) -> dict[str, Participant]:
         """Return whom time waits for, by name.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import msg_adapters
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.time_stepper.standard_answers import (
     DONE,
     Code,
@@ -62,7 +62,7 @@ def has_standard_services() -> bool:
     return True
 
 
-def offer_standard_services(node: GuardedNode, actions: StepperActions) -> None:
+def offer_standard_services(node: WorkingNode, actions: StepperActions) -> None:
     """Offer the services below the node's name, such as ~/step_simulation.
 
     Raises:

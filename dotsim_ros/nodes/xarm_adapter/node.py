@@ -22,9 +22,10 @@ from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.printable import cut
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.reasons import LONGEST_REASON
-from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.xarm_adapter.health import link_statuses
 from dotsim_ros.nodes.xarm_adapter.link import Call, Hindrance, VelocityLink
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.io.quantity import check_fields, quantity
+from dotsim_ros.nodes.common.parameters import READ_ONLY
 from dotsim_ros.nodes.xarm_adapter.link import LinkLimits
 
 
@@ -19,65 +20,67 @@ class XarmAdapterParameters:
         ValueError: a value out of its range, or two that contradict each other.
     """
 
-    service: str = option(
+    service: str = quantity(
         "/xarm/vc_set_cartesian_velocity",
-        "The driver's service for Cartesian velocities.",
-        read_only=True,
+        help="The driver's service for Cartesian velocities.",
+        fixed=READ_ONLY,
     )
-    robot_states: str = option(
-        "/xarm/robot_states", "The driver's topic of the arm's state.", read_only=True
+    robot_states: str = quantity(
+        "/xarm/robot_states", help="The driver's topic of the arm's state.", fixed=READ_ONLY
     )
-    base_frame: str = option(
+    base_frame: str = quantity(
         "link_base",
-        "Frame of ee_pose; a velocity stamped with it is along its axes.",
-        read_only=True,
+        help="Frame of ee_pose; a velocity stamped with it is along its axes.",
+        fixed=READ_ONLY,
     )
-    tool_frame: str = option(
-        "link_tcp", "A velocity stamped with this frame is along the tool's axes.", read_only=True
+    tool_frame: str = quantity(
+        "link_tcp",
+        help="A velocity stamped with this frame is along the tool's axes.",
+        fixed=READ_ONLY,
     )
-    rate_hz: float = option(
+    rate_hz: float = quantity(
         50.0,
-        "Rate at which calls may begin; at most one is pending at a time.",
-        minimum=1.0,
-        maximum=200.0,
-        read_only=True,
+        help="Rate at which calls may begin; at most one is pending at a time.",
+        low=1.0,
+        high=200.0,
+        fixed=READ_ONLY,
     )
-    duration_s: float = option(
+    duration_s: float = quantity(
         0.1,
-        "Time limit of the arm's own watchdog, sent with each call: the arm stops after this time "
-        "without another call. Must not be 0, which disables the watchdog.",
-        minimum=0.02,
-        maximum=1.0,
+        help="Time limit of the arm's own watchdog, sent with each call: the arm stops after this "
+        "time without another call. Must not be 0, which disables the watchdog.",
+        low=0.02,
+        high=1.0,
     )
-    stale_s: float = option(0.1, "An older command counts as zero.", minimum=0.02, maximum=1.0)
-    silence_s: float = option(
+    stale_s: float = quantity(0.1, help="An older command counts as zero.", low=0.02, high=1.0)
+    silence_s: float = quantity(
         0.5,
-        "No commands are sent after this time without the arm's state; its driver reports it at "
-        "5 Hz, with report_type dev at 100 Hz.",
-        minimum=0.05,
-        maximum=10.0,
+        help="No commands are sent after this time without the arm's state; its driver reports it "
+        "at 5 Hz, with report_type dev at 100 Hz.",
+        low=0.05,
+        high=10.0,
     )
-    answer_s: float = option(
-        0.5, "Longest wait for the response to a call.", minimum=0.05, maximum=10.0
+    answer_s: float = quantity(
+        0.5, help="Longest wait for the response to a call.", low=0.05, high=10.0
     )
-    speed_limit_m_s: float = option(
+    speed_limit_m_s: float = quantity(
         0.1,
-        "Largest commanded speed of the tool; faster commands are scaled down.",
-        minimum=0.001,
-        maximum=1.0,
+        help="Largest commanded speed of the tool; faster commands are scaled down.",
+        low=0.001,
+        high=1.0,
     )
-    angular_speed_limit_rad_s: float = option(
+    angular_speed_limit_rad_s: float = quantity(
         0.5,
-        "Largest commanded rate of turning; faster commands are scaled down.",
-        minimum=0.001,
-        maximum=3.14,
+        help="Largest commanded rate of turning; faster commands are scaled down.",
+        low=0.001,
+        high=3.14,
     )
-    diagnostics_period_s: float = option(
-        1.0, "Period of the diagnostics.", minimum=0.05, maximum=60.0, read_only=True
+    diagnostics_period_s: float = quantity(
+        1.0, help="Period of the diagnostics.", low=0.05, high=60.0, fixed=READ_ONLY
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        check_fields("", self)
         if "" in (self.service, self.robot_states):
             raise ValueError("service and robot_states must not be empty")
         if "" in (self.base_frame, self.tool_frame) or self.base_frame == self.tool_frame:

@@ -28,9 +28,10 @@ from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.printable import cut
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.reasons import LONGEST_REASON
-from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.xarm_sim.health import ArmCondition, arm_statuses
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
 from msg_adapters import Status

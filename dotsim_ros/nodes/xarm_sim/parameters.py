@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from dotsim_ros.control.arm.simulated import LONGEST_DELAY_S, ArmFaults, ArmLimits, ArmResponse
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.io.quantity import check_fields, quantity
+from dotsim_ros.nodes.common.parameters import FREE, READ_ONLY
 
 
 @dataclass(frozen=True)
@@ -22,120 +24,101 @@ class XarmSimParameters:
         ValueError: a value out of its range, a pose that is none, or frames that are the same.
     """
 
-    rate_hz: float = option(
+    FIXED: ClassVar[str] = READ_ONLY
+
+    rate_hz: float = quantity(
         100.0,
-        "Rate of the feedback; the arm's driver publishes at 100 Hz with report_type dev.",
-        minimum=1.0,
-        maximum=200.0,
-        read_only=True,
+        help="Rate of the feedback; the arm's driver publishes at 100 Hz with report_type dev.",
+        low=1.0,
+        high=200.0,
     )
-    base_frame: str = option("link_base", "Frame of the poses and of velocities.", read_only=True)
-    tool_frame: str = option(
-        "link_tcp",
-        "A velocity stamped with this frame is taken along the tool's axes.",
-        read_only=True,
+    base_frame: str = quantity("link_base", help="Frame of the poses and of velocities.")
+    tool_frame: str = quantity(
+        "link_tcp", help="A velocity stamped with this frame is taken along the tool's axes."
     )
-    sensor_frame: str = option(
-        "densetact_base", "Frame of indenter/pose: the base of the sensor.", read_only=True
+    sensor_frame: str = quantity(
+        "densetact_base", help="Frame of indenter/pose: the base of the sensor."
     )
-    start_pose: tuple[float, ...] = option(
+    start_pose: tuple[float, ...] = quantity(
         (0.35, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0),
-        "Pose of the tool in the base at the start and after ~/reset: x, y, z in metres, then the "
-        "quaternion x, y, z, w. The default points down.",
-        minimum=-10.0,
-        maximum=10.0,
-        read_only=True,
+        help="Pose of the tool in the base at the start and after ~/reset: x, y, z in metres, then "
+        "the quaternion x, y, z, w. The default points down.",
+        low=-10.0,
+        high=10.0,
     )
-    tool_from_sensor: tuple[float, ...] = option(
+    tool_from_sensor: tuple[float, ...] = quantity(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
-        "Pose of the sensor's base in the tool's frame, numbers as in start_pose.",
-        minimum=-10.0,
-        maximum=10.0,
-        read_only=True,
+        help="Pose of the sensor's base in the tool's frame, numbers as in start_pose.",
+        low=-10.0,
+        high=10.0,
     )
-    indenter_pose: tuple[float, ...] = option(
+    indenter_pose: tuple[float, ...] = quantity(
         (0.35, 0.0, 0.28, 1.0, 0.0, 0.0, 0.0),
-        "Pose in the base of a fixed indenter that the sensor is moved against, numbers as in "
+        help="Pose in the base of a fixed indenter that the sensor is moved against, numbers as in "
         "start_pose; its +z points away from the gel. The default is 4.25 mm before the dome.",
-        minimum=-10.0,
-        maximum=10.0,
+        low=-10.0,
+        high=10.0,
+        fixed=FREE,
     )
-    publish_indenter: bool = option(
-        True, "Publish indenter/pose, which moves the indenter of tactile_sim."
+    publish_indenter: bool = quantity(
+        True, help="Publish indenter/pose, which moves the indenter of tactile_sim.", fixed=FREE
     )
-    latency_s: float = option(
-        0.01,
-        "Latency from a command to its first effect.",
-        minimum=0.0,
-        maximum=1.0,
-        read_only=True,
+    latency_s: float = quantity(
+        0.01, help="Latency from a command to its first effect.", low=0.0, high=1.0
     )
-    jitter_s: float = option(
+    jitter_s: float = quantity(
         0.002,
-        "Standard deviation of the random delay added to the latency; the delay is never negative.",
-        minimum=0.0,
-        maximum=1.0,
-        read_only=True,
+        help="Standard deviation of the random delay added to the latency; the delay is never "
+        "negative.",
+        low=0.0,
+        high=1.0,
     )
-    time_constant_s: float = option(
+    time_constant_s: float = quantity(
         0.02,
-        "Time constant of the first-order lag of the velocity behind the commanded one.",
-        minimum=0.001,
-        maximum=10.0,
-        read_only=True,
+        help="Time constant of the first-order lag of the velocity behind the commanded one.",
+        low=0.001,
+        high=10.0,
     )
-    stale_s: float = option(
-        0.2,
-        "The arm stops after this time without a command.",
-        minimum=0.02,
-        maximum=10.0,
-        read_only=True,
+    stale_s: float = quantity(
+        0.2, help="The arm stops after this time without a command.", low=0.02, high=10.0
     )
-    seed: int = option(0, "Seed of the jitter.", minimum=0, maximum=2**31 - 1, read_only=True)
-    speed_limit_m_s: float = option(
-        1.0, "Speed limit of the tool.", minimum=0.001, maximum=1.0, read_only=True
+    seed: int = quantity(0, help="Seed of the jitter.", low=0, high=2**31 - 1)
+    speed_limit_m_s: float = quantity(1.0, help="Speed limit of the tool.", low=0.001, high=1.0)
+    angular_speed_limit_rad_s: float = quantity(
+        3.14, help="Limit of the tool's angular speed.", low=0.001, high=10.0
     )
-    angular_speed_limit_rad_s: float = option(
-        3.14, "Limit of the tool's angular speed.", minimum=0.001, maximum=10.0, read_only=True
+    acceleration_limit_m_s2: float = quantity(
+        50.0, help="Limit of the tool's linear acceleration.", low=0.01, high=50.0
     )
-    acceleration_limit_m_s2: float = option(
-        50.0,
-        "Limit of the tool's linear acceleration.",
-        minimum=0.01,
-        maximum=50.0,
-        read_only=True,
+    angular_acceleration_limit_rad_s2: float = quantity(
+        20.0, help="Limit of the tool's angular acceleration.", low=0.01, high=200.0
     )
-    angular_acceleration_limit_rad_s2: float = option(
-        20.0,
-        "Limit of the tool's angular acceleration.",
-        minimum=0.01,
-        maximum=200.0,
-        read_only=True,
-    )
-    joint_speed_limit_rad_s: float = option(
+    joint_speed_limit_rad_s: float = quantity(
         4.0,
-        "Speed limit of each joint; where one would exceed it, all are scaled down alike. UFACTORY "
-        "allows 3.14.",
-        minimum=0.01,
-        maximum=10.0,
-        read_only=True,
+        help="Speed limit of each joint; where one would exceed it, all are scaled down alike. "
+        "UFACTORY allows 3.14.",
+        low=0.01,
+        high=10.0,
     )
-    fail_drop_feedback: bool = option(
-        False, "Injected failure: poses, velocities and joints are not published."
+    fail_drop_feedback: bool = quantity(
+        False, help="Injected failure: poses, velocities and joints are not published.", fixed=FREE
     )
-    fail_delay_s: float = option(
+    fail_delay_s: float = quantity(
         0.0,
-        "Injected failure: commands act, and feedback is published, this much later.",
-        minimum=0.0,
-        maximum=LONGEST_DELAY_S,
+        help="Injected failure: commands act, and feedback is published, this much later.",
+        low=0.0,
+        high=LONGEST_DELAY_S,
+        fixed=FREE,
     )
-    fail_stop: bool = option(False, "Injected failure: the arm brakes and stays at rest.")
-    diagnostics_period_s: float = option(
-        1.0, "Period of the diagnostics.", minimum=0.05, maximum=60.0, read_only=True
+    fail_stop: bool = quantity(
+        False, help="Injected failure: the arm brakes and stays at rest.", fixed=FREE
+    )
+    diagnostics_period_s: float = quantity(
+        1.0, help="Period of the diagnostics.", low=0.05, high=60.0
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        check_fields("", self)
         for name in ("start_pose", "tool_from_sensor", "indenter_pose"):
             pose_of(getattr(self, name), name)
         frames = (self.base_frame, self.tool_frame, self.sensor_frame)

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node with the life cycle of ROS 2, which needs no manager.
+"""The life cycle of a node in ROS 2, which needs no manager.
 
 The states, transitions, services and the topic of events are those of lifecycle_msgs:
 https://design.ros2.org/articles/node_lifecycle.html
@@ -10,14 +10,15 @@ https://design.ros2.org/articles/node_lifecycle.html
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 
 from dotsim_ros.io.documents import value_text
+from dotsim_ros.nodes.common.failures import FORESEEN
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.reasons import reason_of
-from dotsim_ros.nodes.common.spin import FORESEEN, WorkingNode
 
 AUTOSTART = ParameterDescriptor(
     description="configure and activate the node at its start; false: wait for a manager to do it",
@@ -26,45 +27,48 @@ AUTOSTART = ParameterDescriptor(
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-class ManagedNode(LifecycleNodeMixin, WorkingNode):
-    """A node that is configured and activated by itself or, without `autostart`, by a manager.
+class Managed(Protocol):
+    """What a life cycle brings from one state to the next; what raises refuses the transition."""
 
-    A derived class says what the transitions do by `configure`, `activate`, `deactivate` and
-    `clean_up`, and calls `start` when it is made. What raises refuses the transition: the state
-    stays, the log says why, and the node goes on; where it starts by itself, it does not start.
+    def configure(self) -> None:
+        """Make what the parameters ask for."""
 
-    Publishers, subscriptions, services and timers that are made from `configure` on are destroyed
-    when the node is cleaned up, or shut down, and when it cannot be configured.
+    def activate(self) -> None:
+        """Begin the work."""
+
+    def deactivate(self) -> None:
+        """End the work, and keep what was made."""
+
+    def clean_up(self) -> None:
+        """Let go of what was made."""
+
+
+class LifeCycle(LifecycleNodeMixin):
+    """The state machine of a node, which configures and activates itself or, without the parameter
+    `autostart`, waits for a manager.
+
+    Where a transition is refused the state stays, the log says why, and the node goes on; where it
+    starts by itself, it does not start. Publishers, subscriptions, services and timers that are
+    made from `configure` on are destroyed when the node is cleaned up, or shut down, and when it
+    cannot be configured.
 
     Args:
-        name: of the node.
+        node: that has the states.
+        work: of the node.
     """
 
-    def __init__(self, name: str) -> None:
-        WorkingNode.__init__(self, name)
-        LifecycleNodeMixin.__init__(self)
-        self._starts_itself = bool(self.declare_parameter("autostart", True, AUTOSTART).value)
+    def __init__(self, node: WorkingNode, work: Managed) -> None:
+        self._node, self._work = node, work
+        # What rclpy's mixin asks of the node that it is written to be part of.
+        self.handle, self.default_callback_group = node.handle, node.default_callback_group
+        self._services = node._services
+        super().__init__()
+        self._starts_itself = bool(node.declare_parameter("autostart", True, AUTOSTART).value)
         self._last_error: Exception | None = None
         # What it had made in ROS before it was configured; None while it is not.
         self._kept: set[int] | None = None
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
-
-    def configure(self) -> None:
-        """Make what the parameters ask for."""
-        raise NotImplementedError
-
-    def activate(self) -> None:
-        """Begin the work."""
-        raise NotImplementedError
-
-    def deactivate(self) -> None:
-        """End the work, and keep what was made."""
-        raise NotImplementedError
-
-    def clean_up(self) -> None:
-        """Let go of what was made."""
-        raise NotImplementedError
 
     def start(self) -> None:
         """Configure the node, where it starts by itself.
@@ -80,26 +84,26 @@ class ManagedNode(LifecycleNodeMixin, WorkingNode):
         if self._starts_itself:
             self._insist(self.trigger_activate)
         else:
-            self.get_logger().info(
+            self._node.get_logger().info(
                 "unconfigured: waits for a manager, or for "
-                f"ros2 lifecycle set {self.get_fully_qualified_name()} configure"
+                f"ros2 lifecycle set {self._node.get_fully_qualified_name()} configure"
             )
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """See `configure`."""
         self._kept = {id(each) for each, _ in self._entities()}
-        outcome = self._attempt(self.configure)
+        outcome = self._attempt(self._work.configure)
         if outcome != SUCCESS:
             self._release()
         return outcome
 
     def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """See `activate`."""
-        return self._attempt(self.activate)
+        return self._attempt(self._work.activate)
 
     def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """See `deactivate`."""
-        return self._attempt(self.deactivate)
+        return self._attempt(self._work.deactivate)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """See `clean_up`."""
@@ -110,7 +114,7 @@ class ManagedNode(LifecycleNodeMixin, WorkingNode):
 
         def end() -> None:
             if state.label == "active":
-                self.deactivate()
+                self._work.deactivate()
             self._release()
 
         return self._attempt(end)
@@ -132,9 +136,8 @@ class ManagedNode(LifecycleNodeMixin, WorkingNode):
     def _release(self) -> None:
         if self._kept is None:
             return
-        self.clean_up()
-        self.drop_scheduled()
-        self.leave_topics()
+        self._work.clean_up()
+        self._node.leave()
         for entity, destroy in self._entities():
             if id(entity) not in self._kept:
                 destroy(entity)
@@ -142,12 +145,13 @@ class ManagedNode(LifecycleNodeMixin, WorkingNode):
 
     def _entities(self) -> list[tuple[Any, Callable[[Any], bool]]]:
         """Return what the node has made in ROS, each with what destroys it."""
+        node = self._node
         return [
-            *((each, self.destroy_publisher) for each in self.publishers),
-            *((each, self.destroy_subscription) for each in self.subscriptions),
-            *((each, self.destroy_service) for each in self.services),
-            *((each, self.destroy_timer) for each in self.timers),
-            *((each, self.destroy_guard_condition) for each in self.guards),
+            *((each, node.destroy_publisher) for each in node.publishers),
+            *((each, node.destroy_subscription) for each in node.subscriptions),
+            *((each, node.destroy_service) for each in node.services),
+            *((each, node.destroy_timer) for each in node.timers),
+            *((each, node.destroy_guard_condition) for each in node.guards),
         ]
 
     def _on_change_state(self, request: Any, response: Any) -> Any:
@@ -156,7 +160,7 @@ class ManagedNode(LifecycleNodeMixin, WorkingNode):
         asked, self._last_error = request.transition, None
         found = {number: label for number, label, *_ in self._state_machine.available_transitions}
         if asked.label in found.values() if asked.label else asked.id in found:
-            self.before_request()
+            self._node.settle()
             response = self._change_state(request, response)
         else:
             response.success = False
@@ -167,12 +171,10 @@ class ManagedNode(LifecycleNodeMixin, WorkingNode):
             )
         if self._last_error is not None:
             name = value_text(asked.label or found.get(asked.id, asked.id))
-            self._tell(f"the transition {name} is refused", self._last_error)
+            what = f"the transition {name} is refused"
+            if isinstance(self._last_error, FORESEEN):
+                # Each one, at whatever interval: the answer itself has no room for a reason.
+                self._node.get_logger().warning(f"{what}: {reason_of(self._last_error)}")
+            else:
+                self._node.note_failure(what, self._last_error)
         return response
-
-    def _tell(self, what: str, error: Exception) -> None:
-        if isinstance(error, FORESEEN):
-            # Every one, at whatever interval: the answer itself has no room for a reason.
-            self.get_logger().warning(f"{what}: {reason_of(error)}")
-        else:
-            self.note_failure(what, error)
