@@ -55,8 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.control.loop.judge import judge, summary_of, trial_start
     from dotsim_ros.control.loop.recording import LoopRecording
     from dotsim_ros.control.loop.report import path_image, trial_report
-    from dotsim_ros.control.policy.card import read_policy
     from dotsim_ros.control.policy.demonstration import contact_of
+    from dotsim_ros.control.policy.network import read_policy
     from dotsim_ros.control.policy.paths import reference_path
     from dotsim_ros.control.policy.rollout import APPROACH_S
     from dotsim_ros.data.bag_hash import bag_sha256

@@ -20,7 +20,7 @@ from dotsim_ros.control.environments.ball import (
     PressEnvironment,
 )
 from dotsim_ros.control.environments.box_yaw import MOVES, BoxYawEnvironment, BoxYawTask
-from dotsim_ros.control.policy.expert import Expert
+from dotsim_ros.control.policy.paths import Expert
 from dotsim_ros.specification import load_sensor
 
 

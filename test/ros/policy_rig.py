@@ -61,9 +61,9 @@ def write_network(folder: Path) -> Path:
     import torch
     from torch import Tensor, nn
 
-    from dotsim_ros.control.policy.card import FORMAT, PolicyCard
     from dotsim_ros.control.policy.images import CHANNEL_COUNT, fingerprint
-    from dotsim_ros.control.policy.network import save_policy
+    from dotsim_ros.control.policy.network import FORMAT, PolicyCard
+    from dotsim_ros.control.policy.resnet import save_policy
 
     class Steady(nn.Module):
         def __init__(self) -> None:

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.control.policy.card import FORMAT, POLICY, PolicyCard
 from dotsim_ros.control.policy.images import CHANNEL_COUNT, PolicyInput
-from dotsim_ros.control.policy.network import load_policy, save_policy
+from dotsim_ros.control.policy.network import FORMAT, POLICY, PolicyCard, load_policy
 from dotsim_ros.control.policy.paths import PATHS as PATH_NAMES
+from dotsim_ros.control.policy.resnet import save_policy
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics.idle import read_idle_frame

@@ -14,13 +14,13 @@ import pytest
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.control.policy.demonstration import (
+    CARD,
     Episode,
     episode_file,
     labels,
     read_episode,
     write_episode,
 )
-from dotsim_ros.control.policy.demonstration_card import CARD
 from dotsim_ros.control.policy.examples import (
     LEAST_WEIGHT,
     PolicyExamples,
@@ -29,9 +29,8 @@ from dotsim_ros.control.policy.examples import (
     frames_of,
     read_split,
 )
-from dotsim_ros.control.policy.expert import Expert
 from dotsim_ros.control.policy.network import load_policy
-from dotsim_ros.control.policy.paths import DomeContact, reference_path
+from dotsim_ros.control.policy.paths import DomeContact, Expert, reference_path
 from dotsim_ros.io.documents import read_json
 from dotsim_ros.io.files import write_json
 
