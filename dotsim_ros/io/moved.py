@@ -23,6 +23,7 @@ MOVED = {
     "dotsim_ros.tasks.control.safety": "dotsim_ros.control.safety_layer.limits",
     "dotsim_ros.tasks.control": "dotsim_ros.control.safety_layer",
     "dotsim_ros.tasks": "dotsim_ros.control",
+    "dotsim_ros.control.loop.bag": "dotsim_ros.control.loop.recording",
     "dotsim_ros.control.policy.card": "dotsim_ros.control.policy.network",
     "dotsim_ros.control.policy.demonstration_card": "dotsim_ros.control.policy.demonstration",
     "dotsim_ros.control.policy.expert": "dotsim_ros.control.policy.paths",

@@ -19,9 +19,8 @@ import psutil
 import pytest
 
 import msg_adapters
-from dotsim_ros.control.loop.bag import read_loop_bag
 from dotsim_ros.control.loop.judge import judge, trial_start
-from dotsim_ros.control.loop.recording import LoopRecording
+from dotsim_ros.control.loop.recording import LoopRecording, read_loop_bag
 from dotsim_ros.control.policy.paths import reference_path
 from dotsim_ros.nodes.loop.closed_loop import SENSOR, ClosedLoop, LoopSetup
 

@@ -15,9 +15,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import msg_adapters
-from dotsim_ros.control.loop.bag import read_loop_bag
 from dotsim_ros.control.loop.judge import judge, trial_start
-from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording
+from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording, read_loop_bag
 from dotsim_ros.control.loop.report import drawn_places, path_image, trial_report
 from dotsim_ros.control.policy.paths import PATHS, DomeContact, reference_path
 from dotsim_ros.control.safety_layer.limits import SafetyLimits

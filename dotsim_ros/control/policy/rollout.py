@@ -84,8 +84,8 @@ def follow(
     frame_count: int,
     rate_hz: float,
 ) -> tuple[FloatArray, str]:
-    """Return where a policy takes the indenter (F, 3) in the sensor's frame, and why it ended before
-    its time, empty where it did not.
+    """Return where a policy takes the indenter (F, 3) in the sensor's frame, and why it ended
+    early, empty where it did not.
 
     Args:
         driver: returns the sensor's velocity (6,) along its own axes, as a `Policy` does.

@@ -21,8 +21,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-import msg_adapters
-from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording
+from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording, recording_of
 from dotsim_ros.control.policy.paths import DomeContact
 from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.geometry.pose import Pose
@@ -536,28 +535,9 @@ class ClosedLoop:
 
     def recording(self, notes: Mapping[str, Any]) -> LoopRecording:
         """Return what has been received since the observer was last cleared."""
-        heard = {name: self.observer.heard(name) for name in LOOP_TOPICS}
-        times = {
-            name: np.array(
-                [1e-9 * msg_adapters.message_stamp_ns(each.message) for each in messages]
-            )
-            for name, messages in heard.items()
-        }
-
-        def rows(name: str, decode: Callable[[Any], Any], width: int) -> FloatArray:
-            return np.reshape(
-                [np.concatenate(decode(each.message)) for each in heard[name]], (-1, width)
-            )
-
-        return LoopRecording(
-            pose_s=times["ee_pose"],
-            pose=rows("ee_pose", msg_adapters.decode_pose_stamped, 7),
-            twist_s=times["ee_twist"],
-            twist=rows("ee_twist", msg_adapters.decode_twist_stamped, 6),
-            command_s=times["cmd_vel"],
-            command=rows("cmd_vel", msg_adapters.decode_twist_stamped, 6),
-            frame_s=times["wrench"],
-            force_n=rows("wrench", msg_adapters.decode_wrench_stamped, 6)[:, :3],
+        heard = {name: [each.message for each in self.observer.heard(name)] for name in LOOP_TOPICS}
+        return recording_of(
+            heard,
             indenter=self._indenter,
             tool_from_sensor=self.places.tool_from_sensor,
             notes=notes,

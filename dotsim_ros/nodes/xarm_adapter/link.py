@@ -15,10 +15,10 @@ from enum import StrEnum
 import numpy as np
 
 from dotsim_ros.control.arm.command import (
+    ToolLimits,
     Twist,
     check_plausible,
     check_reach,
-    within_speed,
     zero_twist,
 )
 from msg_adapters import RobotState
@@ -40,12 +40,10 @@ class Hindrance(StrEnum):
 
 
 @dataclass(frozen=True)
-class LinkLimits:
-    """What may be sent.
+class LinkLimits(ToolLimits):
+    """What may be sent; faster commands are scaled down.
 
     Attributes:
-        linear_m_s: largest commanded speed of the tool; faster commands are scaled down.
-        angular_rad_s: largest commanded rate of turning.
         stale_s: a command that is older counts as zero.
         silence_s: after this long without the arm's state no commands are sent.
         answer_s: longest wait for the answer of a call.
@@ -122,11 +120,8 @@ class VelocityLink:
         except ValueError:
             self.drop()
             raise
-        limits = self.limits
-        limited = within_speed(
-            twist, linear_m_s=limits.linear_m_s, angular_rad_s=limits.angular_rad_s
-        )
-        self._call, self._command_s = Call(limited, along_tool), now_s
+        self._call = Call(self.limits.within_speed(twist), along_tool)
+        self._command_s = now_s
 
     def drop(self) -> None:
         """Let the newest command count as zero at once."""
