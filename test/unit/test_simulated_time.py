@@ -18,7 +18,7 @@ from dotsim_ros.nodes.simulated_time.schedule import (
     PeriodicWork,
     SimulatedSchedule,
 )
-from dotsim_ros.nodes.simulated_time.speed_limit import LARGEST_LAG_S, SpeedLimit
+from dotsim_ros.nodes.simulated_time.stepper import LARGEST_LAG_S, SpeedLimit
 
 
 def test_equal_times_keep_the_order_in_which_they_were_asked_for() -> None:

@@ -66,8 +66,6 @@ class ControllerRun:
     """What a controller did.
 
     Attributes:
-        recording: poses, velocities, commands and forces, by their stamps.
-        path: that it was to follow.
         begun_s: the stamp at which it began.
         time_s, place_m: (N,) and (N, 3) where the indenter was in the sensor's frame, whatever
             the arm told its controller.
@@ -121,7 +119,6 @@ class ControllerLoop:
     """The stand-ins, and the controller again for each run; a context manager.
 
     Args:
-        controller: under test.
         path: that it is to follow: line, arc, figure_eight or press.
         sensor: name or file of the simulated sensor, a dome; the paths are those on it.
         sensor_parameters, arm_parameters: of tactile_sim and xarm_sim.
