@@ -11,6 +11,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from dotsim_ros.control.arm.command import check_plausible
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.xarm_adapter.link import Hindrance, LinkLimits, VelocityLink
@@ -138,14 +139,18 @@ def test_an_answer_that_does_not_come_is_given_up():
 
 @pytest.mark.fault("messages", "`cmd_vel` of 100 m/s")
 def test_a_command_that_no_arm_follows_counts_as_zero(answered):
+    with pytest.raises(ValueError, match="millimetres") as caught:
+        check_plausible(velocity(100.0))
+    answered(caught.value)
+    for number in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="not finite"):
+            check_plausible(velocity(number))
     link = ready_link()
     link.command(velocity(0.05), 0.0, along_tool=False)
     link.next_call(0.01, has_service=True)
     link.answered(0, "")
-    with pytest.raises(ValueError, match="millimetres") as caught:
-        link.command(velocity(100.0), 0.02, along_tool=False)
+    link.drop()
     assert not link.next_call(0.03, has_service=True).twist.any()
-    answered(caught.value)
 
 
 @pytest.mark.fault("messages", "the arm's state says that its tool is 350 m away")
@@ -155,17 +160,6 @@ def test_a_state_that_no_arm_is_in_is_not_kept(answered):
         link.hear(decode_robot_state(robot_message(pose=[350e3, 0, 0, 0, 0, 0])), 0.1)
     assert link.robot.position_m[0] == pytest.approx(0.206)
     answered(caught.value)
-
-
-@pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_a_command_that_is_no_number_counts_as_zero(number):
-    link = ready_link()
-    link.command(velocity(0.05), 0.0, along_tool=False)
-    link.next_call(0.01, has_service=True)
-    link.answered(0, "")
-    with pytest.raises(ValueError, match="not finite"):
-        link.command(velocity(number), 0.02, along_tool=False)
-    assert not link.next_call(0.03, has_service=True).twist.any()
 
 
 @pytest.mark.parametrize(

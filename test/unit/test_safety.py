@@ -284,11 +284,10 @@ def test_a_policy_that_fails_is_latched_and_its_last_command_is_not_given_any_mo
     loop = InferenceLoop(
         policy,  # type: ignore[arg-type]
         largest_distance=1.0,
-        inputs=SimpleNamespace(),  # type: ignore[arg-type]
+        inputs=SimpleNamespace(image_after=lambda last, until_s: image),  # type: ignore[arg-type]
         control=rig.control,
         beat=Beat(0.04, ticks=4, start_s=rig.now_s, margin_s=0.005),
         now_s=lambda: rig.now_s,
-        wait=lambda last, until_s: image,  # type: ignore[arg-type, return-value]
         compute=lambda work, take: take(work()),
         report=lambda miss: None,
     )

@@ -95,8 +95,6 @@ class CoupledFinger:
     """A finger in its world: where it is, and the wrench between its gel and its geom.
 
     Args:
-        model, data: MuJoCo's.
-        finger: what it is.
         move_m: farthest that the geom moves on the gel between two solutions.
 
     Attributes:

@@ -327,13 +327,7 @@ def make_worlds(settings: PpoSettings) -> gymnasium.vector.VectorEnv:
 
 @dataclass(frozen=True)
 class Episode:
-    """How an episode went.
-
-    Attributes:
-        seed: of its start.
-        is_success: whether it got there.
-        frames: its length.
-    """
+    """How an episode from a seed went: whether it got there, and its length."""
 
     seed: int
     is_success: bool

@@ -40,15 +40,8 @@ def statuses(
     warnings: dict[str, str],
     now_s: float,
 ) -> list[Status]:
-    """Return the states of the loop, of the inference and of the inputs.
-
-    Args:
-        node_name: of the node.
-        hardware_id: the policy's name.
-        inputs, inference, control: the node's parts.
-        warnings: what else is wrong, by part.
-        now_s: the steady clock.
-    """
+    """Return the states of the loop, of the inference and of the inputs; `warnings` says what else
+    is wrong, by part."""
     reports = {
         "control": _control(control, now_s),
         "inference": _inference(inference, control, now_s),

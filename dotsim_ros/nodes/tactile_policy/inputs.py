@@ -39,13 +39,7 @@ STATE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 
 @dataclass(frozen=True)
 class HeardImage:
-    """An image as it came.
-
-    Attributes:
-        message: Image or CompressedImage.
-        stamp_ns: its time.
-        arrival_s: when it came, by the time that the node acts by.
-    """
+    """An Image or CompressedImage, its stamp, and when it came by the time of the node."""
 
     message: Any
     stamp_ns: int
@@ -73,7 +67,6 @@ class PolicyInputs:
 
     Args:
         node: owns the subscriptions.
-        parameters: transport, limits.
         latch: takes a fault that stops the arm for good: reason and words.
 
     Attributes:
@@ -177,13 +170,8 @@ class PolicyInputs:
     def _take(
         self, watch: StreamWatch, stamp_ns: int, arrival_s: float, keep: Callable[[], None]
     ) -> None:
-        """Let a message that was checked count, and keep its content, if it holds anything new.
-
-        Args:
-            watch: of its stream.
-            stamp_ns, arrival_s: its times.
-            keep: latches where the content does not go with what came before, then keeps it.
-        """
+        """Let a message that was checked count, if it holds anything new: `keep` latches where its
+        content does not go with what came before, then keeps it."""
         clock_ns = self._node.time_ns()
         with self._lock:
             heard, why = watch.hear(stamp_ns, arrival_s=arrival_s, clock_ns=clock_ns)

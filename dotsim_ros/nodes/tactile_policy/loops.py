@@ -33,14 +33,9 @@ WAIT_SHARE = 0.6
 
 @dataclass(frozen=True)
 class PolicyAnswer:
-    """What comes of asking the policy.
-
-    Attributes:
-        distance: of the image from those of the training; the last one where it is not known.
-        command: (6,) what the policy commands.
-        refused: why the image cannot be read.
-        fault: why the arm must stop for good.
-    """
+    """What comes of asking the policy: the distance of the image from those of the training (the
+    last one where it is not known), and the command (6,), why the image cannot be read, or why the
+    arm must stop for good."""
 
     distance: float
     command: Twist | None = None
@@ -52,14 +47,9 @@ class InferenceLoop:
     """Asks the policy once a cycle, with the newest image.
 
     Args:
-        policy: gives the commands.
         largest_distance: images less like those of the training are another sensor's.
-        inputs: the images.
         control: takes the commands.
-        beat: the cycles.
         now_s: the time that the node acts by.
-        wait: returns an image that is not the one given, or None: at a time, or at once where
-            waiting would not let it come.
         compute: does work, and hands over what comes out when it is there.
         report: called with a missed deadline that is worth a line in the log.
 
@@ -69,7 +59,6 @@ class InferenceLoop:
         distance: of the newest image from those of the training.
         taken: commands that were taken.
         without_image: cycles in which no new image came.
-        rate, spent_s, misses: figures of the loop.
     """
 
     def __init__(
@@ -81,7 +70,6 @@ class InferenceLoop:
         control: ArmControl,
         beat: Beat,
         now_s: Callable[[], float],
-        wait: Callable[[HeardImage | None, float], HeardImage | None],
         compute: Callable[[Callable[[], PolicyAnswer], Callable[[PolicyAnswer], None]], None],
         report: Callable[[Miss], None],
     ) -> None:
@@ -91,7 +79,6 @@ class InferenceLoop:
         self._control = control
         self._beat = beat
         self._now_s = now_s
-        self._wait = wait
         self._compute = compute
         self._report = report
         self._index = 0
@@ -122,7 +109,7 @@ class InferenceLoop:
         deadline_s = beat.cycle_s(self._index)
         if self._control.wants_commands():
             until_s = deadline_s + WAIT_SHARE * beat.period_s
-            image = self._wait(self._last, until_s)
+            image = self._inputs.image_after(self._last, until_s)
             if image is None and (now_s := self._now_s()) < until_s:
                 self._look_s = min(now_s + beat.period_s / beat.ticks, until_s)
                 return
@@ -195,13 +182,8 @@ class ControlLoop:
     """Publishes the orders: one a tick or one a cycle, and every one that stops the arm.
 
     Args:
-        control: gives the orders.
-        inputs: what is known of the arm.
-        inference: where the commands come from.
-        beat: the ticks.
         every_tick: publish at the rate of the ticks.
-        now_s: the time that the node acts by.
-        clock_ns: the time that stamps are of.
+        now_s, clock_ns: the time that the node acts by, and the one that stamps are of.
         publish: sends a command with its stamp.
         changed: called with each order of a new state or reason.
         report: called with a missed deadline that is worth a line in the log.
@@ -209,10 +191,8 @@ class ControlLoop:
     Attributes:
         order: the newest.
         stops: how often the arm was stopped, or retreated, by reason.
-        rate: of published commands.
-        ticks: of the loop.
+        rate, ticks, misses: of published commands, and of the loop.
         arrival_age_s, stamp_age_s: of the image that a new command answers, when it is published.
-        misses: of the ticks.
     """
 
     def __init__(

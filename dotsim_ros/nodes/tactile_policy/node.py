@@ -81,11 +81,7 @@ class TactilePolicy(WorkingNode):
                 f"{self._policy.rate_hz} Hz, expected {POLICY_RATE_HZ:g} Hz"
             )
         self._control = ArmControl(self._settings.limits(), self._settings.control())
-        self._inputs = PolicyInputs(
-            self,
-            self._settings,
-            latch=self._control.latch,
-        )
+        self._inputs = PolicyInputs(self, self._settings, latch=self._control.latch)
         self._commands = self.create_publisher(
             TwistStamped,
             "~/cmd_vel",
@@ -103,7 +99,6 @@ class TactilePolicy(WorkingNode):
             control=self._control,
             beat=beat,
             now_s=self.now_s,
-            wait=self._inputs.image_after,
             compute=partial(self.compute, latency, broken=INFERENCE_BROKEN),
             report=self._report_miss,
         )

@@ -17,7 +17,6 @@ import numpy as np
 from dotsim_ros.control.arm.command import (
     ToolLimits,
     Twist,
-    check_plausible,
     check_reach,
     zero_twist,
 )
@@ -58,12 +57,7 @@ class LinkLimits(ToolLimits):
 
 @dataclass(frozen=True)
 class Call:
-    """A velocity to send.
-
-    Attributes:
-        twist: (6,) m/s and rad/s.
-        along_tool: its axes are the tool's, else the base's.
-    """
+    """A velocity (6,) to send, along the axes of the tool or of the base, in m/s and rad/s."""
 
     twist: Twist
     along_tool: bool
@@ -79,6 +73,7 @@ class VelocityLink:
         limits: what may be sent.
 
     Attributes:
+        robot: the arm's newest state, None before the first.
         hindrance: why no command was sent at the last call of `next_call`.
         detail: the same in words.
         counts: calls by what became of them.
@@ -93,33 +88,15 @@ class VelocityLink:
         self.last_refusal = ""
         self._call = Call(zero_twist(), along_tool=False)
         self._command_s = -np.inf
-        self._robot: RobotState | None = None
+        self.robot: RobotState | None = None
         self._robot_s = -np.inf
         self._sent: Call | None = None
         self._sent_s = -np.inf
         self._moves = False
 
-    @property
-    def robot(self) -> RobotState | None:
-        """Return the arm's newest state, or None before the first."""
-        return self._robot
-
     def command(self, twist: Twist, now_s: float, *, along_tool: bool) -> None:
-        """Take a velocity, the newest replaces all before.
-
-        Args:
-            twist: (6,) m/s and rad/s.
-            now_s: when it came.
-            along_tool: its axes are the tool's, else the base's.
-
-        Raises:
-            ValueError: no velocity of an arm's tool; the command counts as zero.
-        """
-        try:
-            check_plausible(twist)
-        except ValueError:
-            self.drop()
-            raise
+        """Take a velocity (6,) along the axes of the tool or of the base, in m/s and rad/s; the
+        newest replaces all before."""
         self._call = Call(self.limits.within_speed(twist), along_tool)
         self._command_s = now_s
 
@@ -138,16 +115,12 @@ class VelocityLink:
             ValueError: its tool is where no arm reaches; the state before stays, until it is old.
         """
         check_reach(robot.position_m)
-        self._robot, self._robot_s = robot, now_s
+        self.robot, self._robot_s = robot, now_s
 
     def next_call(self, now_s: float, *, has_service: bool) -> Call | None:
-        """Return what to send now, or None; a call that is returned must be sent.
-
-        Args:
-            now_s: the steady clock.
-            has_service: the service is available.
-        """
-        self._give_up(now_s)
+        """Return what to send now, or None; a call that is returned must be sent."""
+        if self._sent is not None and now_s - self._sent_s > self.limits.answer_s:
+            self.failed(f"no answer within {self.limits.answer_s:g} s")
         self.hindrance, self.detail = self._obstacle(now_s, has_service)
         if self.hindrance is not Hindrance.NONE:
             return None
@@ -184,12 +157,8 @@ class VelocityLink:
         """Return whether a call is under way."""
         return self._sent is not None
 
-    def _give_up(self, now_s: float) -> None:
-        if self._sent is not None and now_s - self._sent_s > self.limits.answer_s:
-            self.failed(f"no answer within {self.limits.answer_s:g} s")
-
     def _obstacle(self, now_s: float, has_service: bool) -> tuple[Hindrance, str]:
-        robot, silence_s = self._robot, now_s - self._robot_s
+        robot, silence_s = self.robot, now_s - self._robot_s
         if robot is None:
             return Hindrance.SILENT, "the arm's state has not been received"
         if silence_s > self.limits.silence_s:
