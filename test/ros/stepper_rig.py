@@ -6,22 +6,25 @@
 from __future__ import annotations
 
 import itertools
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from harness import PATIENCE_S, Executable, spin_in_background
+from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
+from dotsim_ros.nodes.simulated_time.participants import read_participants
+from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings, SteppingError
 
 MODULE = "dotsim_ros.nodes.time_stepper.node"
 TICK_S = 0.02
@@ -182,16 +185,11 @@ class Session:
         self.clock_ns: list[int] = []
         self.ticks: list[tuple[float, int, int, int]] = []
         self.diagnostics: msg_adapters.Status | None = None
-        self._changed = threading.Condition()
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self.node = rclpy.create_node("user", context=self._context, namespace=self.namespace)
+        self.node = stack.enter_context(spinning_node("user", self.namespace))
         deep = QoSProfile(history=HistoryPolicy.KEEP_ALL)
         self.node.create_subscription(Clock, "/clock", self._on_clock, deep)
         self.node.create_subscription(PoseStamped, "ticks", self._on_tick, deep)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self._thread = spin_in_background(self.node)
-        stack.callback(self._close)
 
     def start(self, code: str, **parameters: Any) -> Executable:
         """Start a participant."""
@@ -215,10 +213,19 @@ class Session:
         self.wait(lambda: self.clock_ns, "the time that runs")
         return stepper
 
-    def reason(self, stepper: Executable) -> str:
-        """Wait until the stepper ends by itself; return the one line that says why."""
-        assert stepper.exit_status() == 1, stepper.log
-        return self.fatal(stepper)
+    @contextmanager
+    def stepping(self, participants: str = WORKER_ENTRY, **settings: float) -> Iterator[Stepper]:
+        """Step participants from here: a stepper without a node of its own to start."""
+        path = self._folder / f"participants_{next(_numbers)}.yaml"
+        path.write_text(f"participants:\n{participants}")
+        with spinning_node("time_stepper", self.namespace) as node:
+            yield Stepper(node, read_participants(path), StepperSettings(**settings))
+
+    def reason(self, stepper: Stepper, seconds: float = 60.0) -> str:
+        """Step until that fails; return why, as in no namespace."""
+        with pytest.raises(SteppingError) as caught:
+            stepper.advance(seconds)
+        return str(caught.value).replace(f"{self.namespace[1:]}/", "")
 
     def fatal(self, executable: Executable) -> str:
         """Return the one line with which a node has ended, as in no namespace."""
@@ -292,10 +299,20 @@ class Session:
             if status.name == f"{self.namespace[1:]}/time_stepper: time":
                 self.diagnostics = status
 
-    def _close(self) -> None:
-        rclpy.try_shutdown(context=self._context)
-        self._thread.join(10.0)
-        self.node.destroy_node()
+
+@contextmanager
+def spinning_node(name: str, namespace: str) -> Iterator[Node]:
+    """Run a node of a context of its own in the block."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node(name, context=context, namespace=namespace)
+    thread = spin_in_background(node)
+    try:
+        yield node
+    finally:
+        rclpy.try_shutdown(context=context)
+        thread.join(10.0)
+        node.destroy_node()
 
 
 @contextmanager

@@ -76,18 +76,12 @@ def test_no_socket_is_open_to_other_machines(session: Session) -> None:
     assert found == {"127.0.0.1"}
 
 
-def test_sigint_ends_it_with_status_0() -> None:
-    with running(MODULE) as node:
-        assert node.interrupt(2) == 0, node.log
-        assert "Traceback" not in node.log
-
-
 def test_poses_carry_the_times_of_their_states_100_a_second(client: ArmClient) -> None:
     since_s = time.monotonic()
-    time.sleep(3.0)
+    time.sleep(1.5)
     stamps, places = client.positions(since_s)
     np.testing.assert_allclose(places, np.tile(START_M, (len(places), 1)), atol=1e-6)
-    assert len(stamps) > 100
+    assert len(stamps) > 50
     # Every stamp falls on the arm's grid, whenever its tick came.
     away = np.abs(stamps / 0.005 - np.round(stamps / 0.005)) * 0.005
     assert np.percentile(away, 95) < 5e-4
@@ -119,13 +113,6 @@ def test_joints_pose_and_indenter_agree(client: ArmClient) -> None:
     )
 
 
-def test_at_the_start_the_indenter_is_before_the_dome(client: ArmClient) -> None:
-    seen = client.newest("indenter/pose", time.monotonic())
-    place, quaternion = msg_adapters.decode_pose_stamped(seen)
-    np.testing.assert_allclose(place, [0.0, 0.0, 0.02], atol=1e-6)
-    assert abs(quaternion[3]) == pytest.approx(1.0)
-
-
 def test_velocities_along_base_and_tool_move_as_their_frame_says(client: ArmClient) -> None:
     # The tool points down: its +z is the base's -z, its +y the base's -y, and +x is +x.
     for frame_id, signs in (("link_base", (1, 1, 1)), ("link_tcp", (1, -1, -1))):
@@ -142,7 +129,7 @@ def test_velocities_along_base_and_tool_move_as_their_frame_says(client: ArmClie
 def test_no_limit_is_exceeded_on_the_recorded_motion(client: ArmClient) -> None:
     random = np.random.default_rng(4)
     since_s = time.monotonic()
-    client.lead(4.0, lambda t: (random.normal(size=3), 0.5 * random.normal(size=3)), rate_hz=25.0)
+    client.lead(1.5, lambda t: (random.normal(size=3), 0.5 * random.normal(size=3)), rate_hz=25.0)
     stamps, places = client.positions(since_s)
     velocity, steps = velocities(stamps, places)
     assert np.linalg.norm(velocity, axis=1).max() <= 0.2 * 1.001
@@ -151,7 +138,7 @@ def test_no_limit_is_exceeded_on_the_recorded_motion(client: ArmClient) -> None:
     acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / middle_s
     # Over a gap the machine was busy, and the difference of two clocks, so a stamp, may be off.
     is_regular = np.maximum(steps[1:], steps[:-1]) < 2.0 * PERIOD_S
-    assert np.count_nonzero(is_regular) > 100
+    assert np.count_nonzero(is_regular) > 20
     assert acceleration[is_regular].max() <= 4.0 * 1.02
     with client._changed:
         joints = [message for arrival_s, message in client.heard["joint_states"]]
@@ -202,14 +189,13 @@ def test_a_velocity_of_an_unknown_frame_is_refused_and_not_said_each_time(sessio
     assert lines <= 2 + (time.monotonic() - begin_s) / 5.0
 
 
-@pytest.mark.parametrize("number", [float("nan"), float("inf")])
-def test_a_velocity_that_is_no_number_stops_the_arm(client: ArmClient, number: float) -> None:
+def test_a_velocity_that_is_no_number_stops_the_arm(client: ArmClient) -> None:
     def way_m() -> float:
         client.trigger("reset")
         settled(client)
         client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
         sent_ns = client.now_ns()
-        sent_s = client.send((0.0, number, 0.0))
+        sent_s = client.send((0.0, float("nan"), 0.0))
         settled(client)
         _, places = client.positions(sent_s, sent_after_ns=sent_ns)
         assert np.isfinite(places).all()
@@ -307,23 +293,17 @@ def test_a_process_that_was_held_up_makes_no_jump(session: Session) -> None:
     measured_until(beyond_m, below=0.1 * (0.2 + 0.05))
 
 
-@pytest.mark.parametrize(
-    ("values", "reason"),
-    [
+def test_the_indenter_can_be_placed_again_and_kept_silent(client: ArmClient) -> None:
+    for values, reason in (
         ({"fail_delay_s": 3.0}, "fail_delay_s"),
         ({"indenter_pose": [0.0, 0.0, 0.0]}, "indenter_pose needs 7 numbers"),
         ({"start_pose": [0.4, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]}, "read-only"),
-    ],
-)
-def test_a_bad_parameter_is_refused_with_the_reason(
-    client: ArmClient, values: dict[str, Any], reason: str
-) -> None:
-    result = client.set_parameters(**values)
-    assert not result.successful
-    assert reason in result.reason
-
-
-def test_the_indenter_can_be_placed_anew_and_kept_silent(client: ArmClient) -> None:
+    ):
+        result = client.set_parameters(**values)
+        assert not result.successful
+        assert reason in result.reason
+    before = client.newest("indenter/pose", time.monotonic()).pose.position.z
+    assert before == pytest.approx(0.02, abs=1e-6)
     assert client.set_parameters(indenter_pose=[0.35, 0.0, 0.27, 1.0, 0.0, 0.0, 0.0]).successful
     placed = pytest.approx(0.03, abs=1e-6)
     client.wait(
@@ -338,3 +318,9 @@ def test_the_indenter_can_be_placed_anew_and_kept_silent(client: ArmClient) -> N
     assert client.set_parameters(
         publish_indenter=True, indenter_pose=[0.35, 0.0, 0.28, 1.0, 0.0, 0.0, 0.0]
     ).successful
+
+
+def test_two_sigints_end_it_with_status_0(session: Session) -> None:
+    # The last of this file.
+    assert session[0].interrupt(2) == 0, session[0].log
+    assert "Traceback" not in session[0].log

@@ -22,10 +22,12 @@ START_POSE = Pose(np.array([0.35, 0.0, 0.3]), DOWN)
 QUIET = ArmResponse(jitter_s=0.0)
 
 
+START_JOINTS_RAD = ArmKinematics().joints_at(START_POSE)
+
+
 def new_arm(*, limits=None, response=QUIET, seed=0):
     kinematics = ArmKinematics()
-    joints = kinematics.joints_at(START_POSE)
-    kinematics.posture_rad = joints
+    joints = kinematics.posture_rad = START_JOINTS_RAD
     return SimulatedArm(
         kinematics,
         joints,
@@ -58,12 +60,6 @@ def positions(states):
 
 def speeds(states):
     return np.linalg.norm(np.diff(positions(states), axis=0), axis=1) / STEP_S
-
-
-def test_the_arm_stands_until_it_is_told_to_move():
-    states = record(new_arm(), 0.5)
-    assert (positions(states) == states[0].pose.position_m).all()
-    assert states[-1].time_s == pytest.approx(START_S + 0.5)
 
 
 def test_a_velocity_is_followed_after_latency_and_lag():
@@ -136,8 +132,7 @@ def accelerations(states):
     return np.linalg.norm(np.diff(velocity, axis=0), axis=1) / STEP_S
 
 
-@pytest.mark.parametrize("turn_rad_s", [0.0, 0.5])
-@pytest.mark.parametrize("asked_m_s", [0.5, 30.0])
+@pytest.mark.parametrize(("asked_m_s", "turn_rad_s"), [(0.5, 0.5), (30.0, 0.0)])
 def test_speed_and_acceleration_keep_their_limits_on_the_recorded_motion(asked_m_s, turn_rad_s):
     limits = ArmLimits(linear_m_s=0.25, angular_rad_s=0.5, linear_m_s2=2.0, angular_rad_s2=4.0)
     arm = new_arm(limits=limits)
@@ -148,7 +143,7 @@ def test_speed_and_acceleration_keep_their_limits_on_the_recorded_motion(asked_m
             asked_m_s * generator.normal(size=3), turn_rad_s * generator.normal(size=3)
         )
 
-    states = record(arm, 3.0, wild, period_s=0.04)
+    states = record(arm, 1.5, wild, period_s=0.04)
     assert speeds(states).max() <= 0.25 * (1.0 + 1e-3)
     assert accelerations(states).max() <= 2.0 * 1.01
     assert accelerations(states).max() > 1.5
@@ -158,12 +153,11 @@ def test_speed_and_acceleration_keep_their_limits_on_the_recorded_motion(asked_m
     assert turned.max() <= 4.0 * 1.01
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_speeds_hold_where_joints_and_singularities_hinder(seed):
+def test_speeds_hold_where_joints_and_singularities_hinder():
     # Wild turns and a drift outwards: joints at their limits and the arm stretched.
     limits = ArmLimits(linear_m_s=0.25, angular_rad_s=1.0, linear_m_s2=2.0, angular_rad_s2=5.0)
     arm = new_arm(limits=limits)
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     ways = np.repeat(generator.normal(size=(10, 6)), 100, axis=0)
     ways[:, 0] += 1.0
     states = record(arm, 9.9, lambda t: ways[int(100 * t)])
@@ -174,15 +168,6 @@ def test_speeds_hold_where_joints_and_singularities_hinder(seed):
     assert any(state.motion.at_limit or state.motion.smallest_m < 0.04 for state in states)
     # Only there does the arm brake harder than it may, and hardly ever.
     assert (accelerations(states) > 2.0 * 1.02).mean() < 0.03
-
-
-def test_the_default_limits_are_those_of_the_real_arm():
-    arm = new_arm()
-    states = record(arm, 0.15, lambda _: along(x=5.0))
-    assert speeds(states).max() <= 1.0 + 1e-3
-    assert speeds(states).max() > 0.9
-    rates = np.array([state.motion.rates_rad_s for state in states])
-    assert np.abs(rates).max() <= 4.0 + 1e-9
 
 
 def test_at_full_stretch_the_arm_slows_down_and_keeps_every_limit():
@@ -237,13 +222,12 @@ def test_an_emergency_stop_brakes_without_lag_and_holds_until_reset():
     assert speeds(again)[-1] == pytest.approx(0.2, rel=1e-3)
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_a_velocity_that_is_no_number_stops_the_arm(number):
+def test_a_velocity_that_is_no_number_stops_the_arm():
     arm = new_arm()
     states = record(arm, 0.3, lambda _: along(x=0.1))
     now_s = states[-1].time_s
     with pytest.raises(ValueError, match="not finite"):
-        arm.command(along(x=number), now_s, along_tool=False)
+        arm.command(along(x=np.nan), now_s, along_tool=False)
     after = record(arm, 0.15, begin_s=now_s)
     assert speeds(after)[-1] < 1e-3
     assert np.isfinite(positions(after)).all()
