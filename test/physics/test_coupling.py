@@ -74,8 +74,7 @@ BALL = 'type="sphere" size="0.004"'
 BLOCK = 'type="box" size="0.006 0.006 0.004"'
 
 
-@pytest.mark.parametrize("geom", [BALL, BLOCK], ids=["ball", "box"])
-@pytest.mark.parametrize("mass_kg", [0.01, 0.1])
+@pytest.mark.parametrize(("geom", "mass_kg"), [(BALL, 0.1), (BLOCK, 0.01)], ids=["ball", "box"])
 def test_a_body_comes_to_rest_where_the_gel_carries_its_weight(
     sensor: TactileSensor, geom: str, mass_kg: float
 ) -> None:
@@ -131,16 +130,6 @@ def test_a_shorter_coupling_time_gives_the_same_motion(sensor: TactileSensor) ->
     coarse, middle, fine = heights
     assert abs(coarse - fine) < 0.05e-3
     assert abs(middle - fine) < 0.03e-3
-
-
-def test_the_stiffness_is_the_derivative_of_the_wrench(sensor: TactileSensor) -> None:
-    coupling = on_top(sensor, BALL, mass_kg=0.05, height_m=APEX_M + 3.2e-3)
-    pose = coupling.indenter_pose()
-    stiffness = sensor.wrench_stiffness()
-    at_n = sensor.press(pose).wrench.force_n[2]
-    lower = Pose(pose.position_m - [0.0, 0.0, 20e-6], pose.quaternion_xyzw)
-    change_n = sensor.press(lower).wrench.force_n[2] - at_n
-    assert change_n / 20e-6 == pytest.approx(stiffness[2, 2], rel=0.1)
 
 
 def test_the_stiffness_is_the_derivative_where_markers_slip(sensor: TactileSensor) -> None:

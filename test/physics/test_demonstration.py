@@ -122,26 +122,20 @@ def test_a_run_that_was_broken_off_makes_what_is_missing(made):
     np.testing.assert_array_equal(again.crop, before.crop)
 
 
-def test_another_plan_is_not_mixed_in(made, capsys):
-    assert main(["demonstrate", "--episodes", "2", "--frames", "20", "--out", str(made)]) == 1
-    assert "another plan" in capsys.readouterr().err
-    assert (made / CARD).is_file()
-
-
 SAME_NAMES = {
     "gel": (replace(COARSE, gel=replace(COARSE.gel, outer_radius_m=0.0155)), BALL),
-    "lens": (replace(COARSE, camera=replace(COARSE.camera, half_height_angle_deg=80.0)), BALL),
     "image": (replace(COARSE, camera=replace(COARSE.camera, idle_image="")), BALL),
     "ball": (COARSE, replace(sphere(0.0038), name=BALL.name)),
 }
 
 
-@pytest.mark.parametrize("changed", SAME_NAMES)
-def test_another_sensor_or_ball_of_the_same_name_is_not_mixed_in(made, changed):
-    sensor, ball = SAME_NAMES[changed]
+def test_another_plan_sensor_or_ball_is_not_mixed_in(made, capsys):
     before = (made / CARD).read_bytes()
-    with pytest.raises(ValueError, match=r"another sensor or indenter.*--out"):
-        demonstrate(sensor, ball, PLAN, made, progress=lambda done, count: None)
+    assert main(["demonstrate", "--episodes", "2", "--frames", "20", "--out", str(made)]) == 1
+    assert "another plan" in capsys.readouterr().err
+    for sensor, ball in SAME_NAMES.values():
+        with pytest.raises(ValueError, match=r"another sensor or indenter.*--out"):
+            demonstrate(sensor, ball, PLAN, made, progress=lambda done, count: None)
     assert (made / CARD).read_bytes() == before
 
 
@@ -203,8 +197,8 @@ def test_a_sensor_or_indenter_without_paths_is_refused():
         Demonstrator(SENSOR, box([0.01, 0.01, 0.01]), PLAN)
 
 
-@pytest.mark.parametrize(("name", "frame_count"), [("figure_eight", 75), ("press", 90)])
-def test_the_shipped_policy_follows_its_path_by_touch(sensor, name, frame_count):
+def test_the_shipped_policy_follows_its_path_by_touch(sensor):
+    name, frame_count = "figure_eight", 75
     sensor.reset()
     contact = DomeContact()
     policy = load_policy(parameter_path("policies/densetact2_sphere"), name)

@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 import itertools
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -226,6 +227,22 @@ class Session:
         with pytest.raises(SteppingError) as caught:
             stepper.advance(seconds)
         return str(caught.value).replace(f"{self.namespace[1:]}/", "")
+
+    def hindrance(self, stepper: Stepper, text: str) -> str:
+        """Wait until time cannot begin for a reason; return it, as in no namespace."""
+
+        def join() -> None:
+            with suppress(SteppingError):
+                stepper.join()
+
+        thread = threading.Thread(target=join)
+        thread.start()
+        try:
+            self.wait(lambda: text in stepper.waiting_for, text)
+            return stepper.waiting_for.replace(f"{self.namespace[1:]}/", "")
+        finally:
+            stepper.cancel()
+            thread.join()
 
     def fatal(self, executable: Executable) -> str:
         """Return the one line with which a node has ended, as in no namespace."""

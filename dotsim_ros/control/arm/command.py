@@ -108,10 +108,6 @@ class CommandPredictor:
     A command answers an image, and takes effect only once that was exposed, sent and looked at. By
     then the tool has gone on, and on a curved path the command points outwards. The line through
     the newest commands (a first-order hold) makes up for it.
-
-    Args:
-        lead_s: how much later; 0 changes nothing.
-        period_s: between images.
     """
 
     def __init__(self, lead_s: float, period_s: float) -> None:
@@ -119,12 +115,7 @@ class CommandPredictor:
         self._command, self._image_s, self._rate = zero_twist(), -np.inf, zero_twist()
 
     def put(self, command: Twist, image_s: float) -> Twist:
-        """Return what to command; each of its speeds is at most that of the last two commands.
-
-        Args:
-            command: (6,) that answers an image.
-            image_s: when that came.
-        """
+        """Return what to command; each of its speeds is at most that of the last two commands."""
         before, gap_s = self._command, image_s - self._image_s
         self._command, self._image_s = command.copy(), image_s
         # Images are made at an even rate, whenever they arrive.
@@ -147,9 +138,6 @@ class CommandInterpolator:
 
     The line ends one period after its command has come, so it lags by half a period on average: the
     price of steps a quarter as large at four times the rate.
-
-    Args:
-        period_s: between commands.
     """
 
     def __init__(self, period_s: float) -> None:

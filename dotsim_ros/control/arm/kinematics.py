@@ -28,11 +28,9 @@ class Joint:
     """A revolute joint by the modified Denavit-Hartenberg convention (Craig).
 
     Attributes:
-        name: as the driver calls it.
         twist_rad: angle from the axis before to this one, about the common normal.
         length_m: between the two axes, along the common normal.
         offset_m: along this joint's axis.
-        lower_rad, upper_rad: its limits.
     """
 
     name: str
@@ -97,9 +95,6 @@ class JointMotion:
 class ArmKinematics:
     """The chain of the arm. Not for several threads at once.
 
-    Args:
-        joint_speed_rad_s: the fastest that any joint turns.
-
     Attributes:
         posture_rad: (7,) what the elbow goes back to while the tool moves.
     """
@@ -142,11 +137,6 @@ class ArmKinematics:
         "Singularity-robust task-priority redundancy resolution for real-time kinematic control of
         robot manipulators", 1997); a joint that its limit holds back is left out and the others
         make up for it; where one would be too fast, all are slowed alike.
-
-        Args:
-            joints_rad: (7,).
-            jacobian: of these joints.
-            twist: (6,) of the tool, along the base's axes.
         """
         slowest = np.minimum((self.lower_rad - joints_rad) / STOPPING_S, 0.0)
         fastest = np.maximum((self.upper_rad - joints_rad) / STOPPING_S, 0.0)

@@ -120,13 +120,9 @@ class SimulatedArm:
     """An arm that is moved by velocities. Not for several threads at once.
 
     Args:
-        kinematics: of the arm; its own.
         start_joints_rad: (7,) where it begins, and where `reset` puts it.
-        start_s: the time of the first state.
-        seed: of the jitter.
 
     Attributes:
-        faults: what is wrong at the moment.
         is_emergency: stopped by `emergency_stop`, until `reset`.
     """
 
@@ -170,7 +166,6 @@ class SimulatedArm:
 
         Args:
             twist: (6,) finite, m/s and rad/s; limited to what the tool may do.
-            now_s: when it comes.
             along_tool: its axes are those of the tool, which turn with it, else those of the base.
 
         Raises:

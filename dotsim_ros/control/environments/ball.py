@@ -38,7 +38,6 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
 
     Args:
         observation, image_size_px, sensor, solver: as for `TouchView`.
-        duration_s: of an episode.
         render_mode: "rgb_array" for the tactile image, or None.
 
     Raises:
@@ -151,10 +150,6 @@ class PressEnvironment(BallEnvironment):
 
     The reward is how much closer the force came, as a share of what is asked, and 1 at the end. An
     episode ends once the force was within a tenth of what is asked for `HELD_COUNT` frames.
-
-    Args:
-        force_n: asked for.
-        others: as for `BallEnvironment`.
     """
 
     HELD_COUNT = 6
@@ -194,7 +189,6 @@ class FollowEnvironment(BallEnvironment):
 
     Args:
         path: one of `paths.PATHS`.
-        others: as for `BallEnvironment`.
 
     Raises:
         ValueError: as `BallEnvironment`, no such path, or one that is too deep for the gel.

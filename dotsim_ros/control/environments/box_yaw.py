@@ -68,7 +68,6 @@ class BoxYawTask:
 
     Attributes:
         target_rad, tolerance_rad: the yaw to reach, and how close counts as there.
-        duration_s: of an episode.
         speed_m_s: of a move along one axis.
         half_width_m, half_height_m, mass_kg: of the box.
         friction: of box and table.
@@ -101,7 +100,6 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
 
     Args:
         observation, image_size_px, sensor, solver: as for `TouchView`.
-        task: what is asked.
         render_mode: "rgb_array" for the tactile image, or None.
 
     `info` has the yaw in degrees and whether it is there. An episode that cannot be won any more,

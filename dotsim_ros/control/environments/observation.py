@@ -38,15 +38,9 @@ class TouchView:
     shape, and are cropped to the middle. Its skin has a marker a pixel of a small image, no finer.
 
     Args:
-        sensor: name, file or specification.
         solver: of its gel; None for `SOLVER`, or for a pad its own.
         kind: one of `KINDS`.
         size_px: width and height of image and depth.
-        indenter: as `TactileSensor.load` takes it.
-
-    Attributes:
-        sensor: made for learning.
-        space: of the observations.
 
     Raises:
         ValueError: a kind or size that there is not.

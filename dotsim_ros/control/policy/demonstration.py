@@ -444,6 +444,7 @@ def demonstrate(
     Args:
         progress: called with the number of episodes done, and of all.
         workers: how many processes, or workers of Ray, each of which makes an episode.
+
     Raises:
         ValueError: as `contact_of`, or the folder holds demonstrations of another plan, sensor or
             indenter, as `keep_card` tells.

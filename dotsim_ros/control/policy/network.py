@@ -126,9 +126,6 @@ class Policy:
     """A trained policy with the path that it follows.
 
     Attributes:
-        card: what the policy is.
-        name, paths, rate_hz, largest_distance: of the card.
-        path: the one that it follows.
         image_shape: height and width of its images; others of that aspect ratio are scaled.
     """
 
@@ -191,9 +188,6 @@ class Policy:
         `largest_distance` for images of something else, or for an image that does not go with the
         idle image.
 
-        Args:
-            image, idle: as for a call.
-
         Raises:
             ValueError: as for a call.
         """
@@ -206,9 +200,7 @@ def load_policy(folder: Path, path: str = "", *, thread_count: int = THREADS) ->
     """Return the policy that a folder holds.
 
     Args:
-        folder: that `dotsim_ros train-policy` wrote.
         path: name of the path to follow; the policy's first where empty.
-        thread_count: of the network.
 
     Raises:
         FileNotFoundError: no policy there.

@@ -246,7 +246,6 @@ def reference_path(name: str, contact: DomeContact | PadContact | None = None) -
     - `press`: in and out at the apex between 0.7 mm and 2.1 mm; 1.2 mm aside on the way.
 
     Args:
-        name: one of PATHS.
         contact: of which ball on which dome or pad.
 
     Raises:
@@ -276,12 +275,10 @@ class Expert:
     """Knows where the indenter is, and commands how the sensor goes along a path and back to it.
 
     Attributes:
-        path: to follow.
         gain_per_s: speed towards the path over the distance from it.
         look_ahead_s: the path is followed as it is so much later: about the time from an image to
             the motion that answers it.
         fading_m: distance from the path at which half of the speed along it is left.
-        largest_speed_m_s: of the whole command.
     """
 
     path: ReferencePath

@@ -27,7 +27,6 @@ class Arm:
     stands still.
 
     Args:
-        indenter: its pose in the sensor's frame at the start.
         latency_s: from the time of an image to that when its command begins to act.
         time_constant_s: of the first-order approach of the arm's velocity to the command.
     """
@@ -90,7 +89,6 @@ def follow(
     Args:
         driver: returns the sensor's velocity (6,) along its own axes, as a `Policy` does.
         press: moves the indenter in the sensor's frame and returns the image.
-        idle: the image without contact.
         start: of the indenter in the sensor's frame, where the gel already is.
     """
     mounted = Arm(start)

@@ -64,11 +64,8 @@ class PolicyRecipe:
 
     Attributes:
         example_count: shown in all, each exposed again.
-        batch: examples a step.
         learning_rate: of AdamW, the highest of one cycle.
-        weight_decay: of AdamW.
         averaging: share of the running mean of the weights that stays in each step.
-        side_px: of the network's crops.
     """
 
     example_count: int = 80_000
@@ -104,7 +101,6 @@ class PolicyTraining:
 
     Args:
         seed: of the first weights and of all that is drawn.
-        key: of this training's data.
         checkpoint: file of the state; an interrupted run resumes from it.
         start: weights to begin with, in place of random ones, and the file that they are of.
 
@@ -296,8 +292,6 @@ def train_policy(
     """Train a policy on demonstrations and write it, with a report.
 
     Args:
-        folders: of demonstrations.
-        out: folder of the policy.
         record: folder of the training's state and report.
         progress: called every few thousand examples.
         start: a checkpoint whose weights to begin with; None for random ones.

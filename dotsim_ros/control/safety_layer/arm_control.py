@@ -38,11 +38,9 @@ class ControlSettings:
     Attributes:
         along_tool: the axes of the commands are those of the tool, else those of the base.
         interpolates: go from each of the policy's commands to the next on a line.
-        period_s: between the policy's commands.
         lead_s: how much later than its image a command takes effect; see `CommandPredictor`.
         righting_gain_per_s: rate back to the orientation at which the loop was enabled, for each
             radian; 0: the policy alone turns the tool.
-        righting_limit_rad_s: the fastest of that.
     """
 
     along_tool: bool = True
@@ -113,7 +111,6 @@ class ArmControl:
 
         Args:
             command: (6,) along the tool's axes.
-            now_s: the steady clock.
             image_s: when the image that it answers came.
 
         Returns:

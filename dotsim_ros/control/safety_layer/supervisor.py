@@ -67,7 +67,6 @@ class Supervisor:
         """Return what to do in this tick.
 
         Args:
-            readings: what is known.
             command: (6,) the command in force, for the time that the arm needs to stop.
             command_age_s: since the policy gave its newest command.
         """
@@ -98,7 +97,6 @@ class Supervisor:
         """Latch where a command would lead out of the workspace; return whether it may be given.
 
         Args:
-            readings: what is known.
             command: (6,) along the base's axes.
         """
         tool, home = readings.tool, self.home

@@ -60,10 +60,7 @@ class LoopSetup:
 
     Attributes:
         policy: folder of the policy, or a name below params/policies.
-        sensor: name or file of the simulated sensor.
-        policy_parameters, sensor_parameters, arm_parameters: of the nodes.
         policy_code: Python code to run in place of the policy's module.
-        stepping: how simulated time goes.
         one_process: arm, sensor and policy run in one process; then only `start` starts them.
     """
 
@@ -130,7 +127,6 @@ class ClosedLoop:
         clock: SIMULATED, in steps that all nodes take together, or REALTIME.
 
     Attributes:
-        time: how the loop's time passes.
         led_speed_factor: seconds of the loop's time for each real one, while the policy led last.
     """
 

@@ -45,7 +45,6 @@ class Controller:
     """A node under test.
 
     Attributes:
-        name: of the node.
         command: program and arguments that start it; ROS arguments are added.
         reads: topics that it reads.
         publishes: when it publishes on which topic: what simulated time waits for.
@@ -122,7 +121,6 @@ class ControllerLoop:
         path: that it is to follow: line, arc, figure_eight or press.
         sensor: name or file of the simulated sensor, a dome; the paths are those on it.
         sensor_parameters, arm_parameters: of tactile_sim and xarm_sim.
-        stepping: how simulated time goes.
 
     Raises:
         ValueError: the sensor is no dome, or its indenter no ball.
@@ -171,7 +169,6 @@ class ControllerLoop:
 
         Args:
             seconds: of simulated time.
-            faults: what fails meanwhile.
             seed: of where on the path, and how far next to it, it begins.
 
         Raises:

@@ -52,14 +52,12 @@ class LoopObserver:
     """A node next to the loop.
 
     Args:
-        topics: what to keep, by relative name.
         is_stepped: take part in the steps of simulated time: nothing is heard between two.
 
     Attributes:
         node: the node, for publishers of one's own.
         beside: a second node, which never takes part in steps.
         diagnostics: the newest status of each part of each node, by name.
-        diagnostics_ns: the stamp of each.
     """
 
     def __init__(

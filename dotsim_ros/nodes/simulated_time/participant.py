@@ -75,10 +75,7 @@ class StepParticipant:
         """Keep a message until the next step.
 
         Args:
-            topic: resolved.
             number: of the message among those of its publisher, from 1.
-            stamp_ns: of its header, 0 where it has none.
-            hear: hands it to the node.
 
         Raises:
             ValueError: the middleware does not number messages.

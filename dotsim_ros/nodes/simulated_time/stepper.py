@@ -57,7 +57,6 @@ class StepperSettings:
     """How time goes.
 
     Attributes:
-        period_s: of a step.
         start_s: the first time; above zero, which means no time.
         speed: simulated seconds for each real one; 0: as many as the machine gives.
         patience_s: how long a participant may take for one step, or to come.
@@ -82,12 +81,7 @@ class SpeedLimit:
         self._due_s = now_s
 
     def delay_s(self, simulated_s: float, now_s: float) -> float:
-        """Return how long to wait before time may go on.
-
-        Args:
-            simulated_s: what has passed since the last call.
-            now_s: real time.
-        """
+        """Return how long to wait before time may go on."""
         if self._speed == 0.0:
             return 0.0
         self._due_s = max(self._due_s + simulated_s / self._speed, now_s - LARGEST_LAG_S)
@@ -100,11 +94,8 @@ class Stepper:
 
     Args:
         node: for its topics; somebody spins it in another thread.
-        participants: whom time waits for, by name.
-        settings: how time goes.
 
     Attributes:
-        period_ns: of a step.
         time_ns: where the participants are.
         waiting_for: what `join` or a step has been waiting for, for a moment or longer, in words.
     """
@@ -226,7 +217,6 @@ class Stepper:
         """Take all participants on by a time, a whole number of steps.
 
         Args:
-            duration_s: of the simulated time.
             progress: called after each step with the share that is done.
 
         Raises:

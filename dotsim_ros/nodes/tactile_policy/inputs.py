@@ -66,7 +66,6 @@ class PolicyInputs:
     count, and the stream grows old.
 
     Args:
-        node: owns the subscriptions.
         latch: takes a fault that stops the arm for good: reason and words.
 
     Attributes:

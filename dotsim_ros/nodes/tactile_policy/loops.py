@@ -48,8 +48,6 @@ class InferenceLoop:
 
     Args:
         largest_distance: images less like those of the training are another sensor's.
-        control: takes the commands.
-        now_s: the time that the node acts by.
         compute: does work, and hands over what comes out when it is there.
         report: called with a missed deadline that is worth a line in the log.
 
@@ -57,7 +55,6 @@ class InferenceLoop:
         idle: (H, W, 3) the image at rest, or None where it is not known.
         origin: the image that the newest command answers.
         distance: of the newest image from those of the training.
-        taken: commands that were taken.
         without_image: cycles in which no new image came.
     """
 
@@ -189,7 +186,6 @@ class ControlLoop:
         report: called with a missed deadline that is worth a line in the log.
 
     Attributes:
-        order: the newest.
         stops: how often the arm was stopped, or retreated, by reason.
         rate, ticks, misses: of published commands, and of the loop.
         arrival_age_s, stamp_age_s: of the image that a new command answers, when it is published.

@@ -69,13 +69,9 @@ class VelocityLink:
     One call is under way at most. A command that is stale is followed by calls of zero until one
     has been answered, then by nothing. Not for several threads at once.
 
-    Args:
-        limits: what may be sent.
-
     Attributes:
         robot: the arm's newest state, None before the first.
         hindrance: why no command was sent at the last call of `next_call`.
-        detail: the same in words.
         counts: calls by what became of them.
         last_refusal: the newest answer other than success, in words.
     """
