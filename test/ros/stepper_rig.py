@@ -7,21 +7,18 @@ from __future__ import annotations
 
 import itertools
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
-from harness import PATIENCE_S, Executable, spin_in_background
-from rclpy.node import Node
+from harness import Executable
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
+from watcher import Watcher
 
 import msg_adapters
 from dotsim_ros.nodes.simulated_time.participants import read_participants
@@ -170,13 +167,12 @@ CONTROLLER_ENTRY = f"  controller:\n{REPLYING}      beats: {{every_s: {BEAT_S}}}
 _numbers = itertools.count()
 
 
-class Session:
+class Session(Watcher):
     """A stepper and the nodes that take part, in a namespace of their own.
 
     Attributes:
         clock_ns: every time that /clock has told, in order.
         ticks: of the worker: stamp (s), count, replies and beats heard.
-        diagnostics: the newest state of the stepper, None before the first.
     """
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
@@ -185,12 +181,16 @@ class Session:
         self.namespace = f"/steps_{next(_numbers)}"
         self.clock_ns: list[int] = []
         self.ticks: list[tuple[float, int, int, int]] = []
-        self.diagnostics: msg_adapters.Status | None = None
-        self.node = stack.enter_context(spinning_node("user", self.namespace))
+        super().__init__("user", self.namespace)
+        stack.callback(self.close)
         deep = QoSProfile(history=HistoryPolicy.KEEP_ALL)
         self.node.create_subscription(Clock, "/clock", self._on_clock, deep)
         self.node.create_subscription(PoseStamped, "ticks", self._on_tick, deep)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    @property
+    def time(self) -> msg_adapters.Status | None:
+        """Return the newest state of the stepper, None before the first."""
+        return self.diagnostics.get(f"{self.namespace[1:]}/time_stepper: time")
 
     def start(self, code: str, **parameters: Any) -> Executable:
         """Start a participant."""
@@ -219,8 +219,11 @@ class Session:
         """Step participants from here: a stepper without a node of its own to start."""
         path = self._folder / f"participants_{next(_numbers)}.yaml"
         path.write_text(f"participants:\n{participants}")
-        with spinning_node("time_stepper", self.namespace) as node:
-            yield Stepper(node, read_participants(path), StepperSettings(**settings))
+        watcher = Watcher("time_stepper", self.namespace)
+        try:
+            yield Stepper(watcher.node, read_participants(path), StepperSettings(**settings))
+        finally:
+            watcher.close()
 
     def reason(self, stepper: Stepper, seconds: float = 60.0) -> str:
         """Step until that fails; return why, as in no namespace."""
@@ -235,11 +238,14 @@ class Session:
             with suppress(SteppingError):
                 stepper.join()
 
+        def found() -> str:
+            plain = stepper.waiting_for.replace(f"{self.namespace[1:]}/", "")
+            return plain if text in plain else ""
+
         thread = threading.Thread(target=join)
         thread.start()
         try:
-            self.wait(lambda: text in stepper.waiting_for, text)
-            return stepper.waiting_for.replace(f"{self.namespace[1:]}/", "")
+            return self.wait(found, text)
         finally:
             stepper.cancel()
             thread.join()
@@ -254,7 +260,7 @@ class Session:
         """Wait until time cannot begin for a reason; return it, as in no namespace."""
 
         def found() -> str:
-            plain = self.diagnostics.values["waiting_for"] if self.diagnostics else ""
+            plain = self.time.values["waiting_for"] if self.time else ""
             plain = plain.replace(f"{self.namespace[1:]}/", "")
             return plain if text in plain else ""
 
@@ -264,14 +270,6 @@ class Session:
         self._stack.callback(executable.end)
         return executable
 
-    def wait(self, is_reached: Callable[[], Any], what: str) -> Any:
-        """Wait until something holds."""
-        end_s = time.monotonic() + PATIENCE_S
-        while not (reached := is_reached()):
-            assert time.monotonic() < end_s, f"waited {PATIENCE_S} s for {what}; {self.diagnostics}"
-            time.sleep(0.01)
-        return reached
-
     def wait_for_time(self, time_s: float) -> None:
         """Wait until the simulated time has come so far."""
         self.wait(lambda: self.clock_ns and self.clock_ns[-1] >= 1e9 * time_s, f"{time_s} s")
@@ -279,28 +277,17 @@ class Session:
     def wait_for_state(self, state: str) -> msg_adapters.Status:
         """Wait until the stepper reports a state."""
         return self.wait(
-            lambda: (
-                (found := self.diagnostics) is not None and found.values["state"] == state and found
-            ),
+            lambda: (found := self.time) and found.values["state"] == state and found,
             f"the state {state}",
         )
 
-    def call(self, kind: type, name: str, *, of: str = "time_stepper", **fields: Any) -> Any:
-        """Call a service of a node, by default of the stepper, and return its response."""
-        client = self.node.create_client(kind, f"{of}/{name}")
-        assert client.wait_for_service(PATIENCE_S), name
-        future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
-        self.wait(future.done, f"an answer of {name}")
-        self.node.destroy_client(client)
-        return future.result()
-
     def trigger(self, name: str) -> Any:
         """Call a service without arguments."""
-        return self.call(Trigger, name)
+        return self.call(Trigger, f"time_stepper/{name}")
 
     def pause(self, wanted: bool = True) -> Any:
         """Pause, or let time run."""
-        return self.call(SetBool, "pause", data=wanted)
+        return self.call(SetBool, "time_stepper/pause", data=wanted)
 
     def _on_clock(self, message: Clock) -> None:
         now_ns = message.clock.sec * 10**9 + message.clock.nanosec
@@ -310,26 +297,6 @@ class Session:
         place = message.pose.position
         stamp_s = 1e-9 * msg_adapters.message_stamp_ns(message)
         self.ticks.append((stamp_s, int(place.x), int(place.y), int(place.z)))
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in msg_adapters.decode_diagnostics(message):
-            if status.name == f"{self.namespace[1:]}/time_stepper: time":
-                self.diagnostics = status
-
-
-@contextmanager
-def spinning_node(name: str, namespace: str) -> Iterator[Node]:
-    """Run a node of a context of its own in the block."""
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node(name, context=context, namespace=namespace)
-    thread = spin_in_background(node)
-    try:
-        yield node
-    finally:
-        rclpy.try_shutdown(context=context)
-        thread.join(10.0)
-        node.destroy_node()
 
 
 @contextmanager

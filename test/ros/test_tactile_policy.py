@@ -242,7 +242,10 @@ def test_a_fault_at_a_random_moment_stops_the_arm_in_time(rig: Rig, name: str) -
         since_s = inject(rig)
         return rig.rest_s(since_s) - since_s
 
-    stopping_times_s(stop, limit_s=STOP_S + SLACK_S)
+    count = max(1, int(os.environ.get("DOTSIM_FAULTS", "0")) // len(FAULTS))
+    times_s = [t for _ in range(count) for t in stopping_times_s(stop, limit_s=STOP_S + SLACK_S)]
+    in_time = sum(time_s <= STOP_S for time_s in times_s)
+    print(f"{in_time} of {len(times_s)} within 80 ms, the slowest {1e3 * max(times_s):.0f} ms")
     assert words in rig.wait_for_reason(state, reason).message
     assert all(np.isfinite(command.twist).all() for command in rig.commands)
     rig._mend()
@@ -259,36 +262,6 @@ def test_misses_of_an_overloaded_policy_are_told(shared: tuple[Executable, Rig])
     rig.crop = with_first_pixel(rig.idle, 255)
     executable.wait_for_line("inference: a deadline was missed by")
     rig.wait(lambda: int(rig.state("inference").values["deadline_misses_over_40_ms"]) > 2, "misses")
-
-
-@pytest.mark.parametrize(
-    ("stream", "reason"),
-    [("image", "image_delayed"), ("wrench", "force_stale")],
-)
-def test_old_messages_are_told_from_cut_ones(rig: Rig, stream: str, reason: str) -> None:
-    named = stream.replace("wrench", "force")
-
-    def stop() -> float:
-        rig.start()
-        # Stamps that go back a little would be a jump of the clock: nothing comes meanwhile.
-        setattr(rig, f"has_{named}s", False)
-        time.sleep(0.02)
-        last_s = getattr(rig, f"last_{stream}_s")
-        return rig.rest_s(last_s) - last_s
-
-    stopping_times_s(stop, limit_s=STOP_S + SLACK_S)
-    assert "ms ago" in rig.wait_for_reason("stopped", f"{named}_stale").message
-    rig.wait(lambda: time.time() - getattr(rig, f"last_{stream}_s") > 0.4, "the silence")
-    setattr(rig, f"{named}_lag_s", 0.35)
-    setattr(rig, f"has_{named}s", True)
-    rig.wait(
-        lambda: float(rig.state("input").values[f"{named}_delay_ms"]) > 300.0, "the old messages"
-    )
-    rig.rest_s(time.time())
-    state = rig.wait_for_reason("stopped", reason)
-    # Forces have one reason for both, and its words are those with which it last began.
-    is_begun_before = named == "force" and "ms ago" in state.message
-    assert is_begun_before or "after the time of its stamp" in state.message
 
 
 def test_a_force_above_the_limit_retreats_along_the_tool(rig: Rig) -> None:
@@ -452,7 +425,7 @@ def test_two_senders_on_a_topic_are_no_start(rig: Rig) -> None:
 
 def test_the_idle_image_is_not_taken_while_the_arm_moves(rig: Rig) -> None:
     rig.start()
-    answer = rig.call(Trigger, "calibrate_idle")
+    answer = rig.call(Trigger, "tactile_policy/calibrate_idle")
     assert not answer.success
     assert "disable first" in answer.message
     assert "enabled already" in rig.enable().message
@@ -470,12 +443,7 @@ def test_poses_in_another_frame_are_refused_and_the_arm_stops(
 
 
 def test_the_limits_do_not_change_while_it_runs(rig: Rig) -> None:
-    from rcl_interfaces.srv import SetParameters
-    from rclpy.parameter import Parameter
-
-    changed = Parameter("maximum_linear_m_s", value=0.04).to_parameter_msg()
-    (result,) = rig.call(SetParameters, "set_parameters", parameters=[changed]).results
-    assert not result.successful
+    assert not rig.set_parameters_of("tactile_policy", maximum_linear_m_s=0.04).successful
 
 
 def test_its_threads_have_the_priority_that_is_asked_for_or_it_is_refused(network: Path) -> None:

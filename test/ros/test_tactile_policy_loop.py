@@ -18,8 +18,6 @@ import numpy as np
 import pytest
 from harness import Executable, running
 from policy_rig import FOLLOWED, MODULE, Observer, stopping_times_s, write_network
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 
 SENSOR = "dotsim_ros.nodes.tactile_sim.node"
 SLACK_S = 0.25
@@ -87,9 +85,7 @@ def observer() -> Iterator[Observer]:
 
 
 def set_arm(seen: Observer, **values: object) -> None:
-    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-    answer = seen.call(SetParameters, "/xarm_sim/set_parameters", parameters=parameters)
-    assert all(result.successful for result in answer.results), answer
+    assert seen.set_parameters_of("xarm_sim", **values).successful
 
 
 def test_the_arm_moves_by_what_the_policy_says(loop: Loop) -> None:

@@ -84,7 +84,7 @@ def test_all_go_together(steps: Session) -> None:
 def test_a_managed_node_may_rest_but_not_be_configured_again(steps: Session) -> None:
     def change(label: str) -> None:
         asked = Transition(label=label)
-        assert steps.call(ChangeState, "change_state", of="worker", transition=asked).success
+        assert steps.call(ChangeState, "worker/change_state", transition=asked).success
 
     steps.start(MANAGED_WORKER, **STEPPED)
     with steps.stepping() as stepper:
@@ -199,6 +199,7 @@ def test_participants_leave(steps: Session, answered: Callable[..., None]) -> No
         answered(without_time(line))
         worker = steps.start(WORKER, **STEPPED)
         worker.wait_for_line("ready:")
+        steps.wait(lambda: f"{steps.namespace}/worker" in stepper._there(), "the new worker")
         line = steps.reason(stepper)
         assert "has started again" in line
         answered(without_time(line), what="a node that time waits for is started again")

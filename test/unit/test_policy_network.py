@@ -136,12 +136,9 @@ def test_wrong_images_are_refused(written, image, idle, message):
         policy.image_distance(image, idle)
 
 
-def test_an_unknown_path_is_refused(written):
+def test_broken_files_are_refused(written, tmp_path):
     with pytest.raises(ValueError, match="line, press"):
         load_policy(written[1], "spiral")
-
-
-def test_broken_files_are_refused(written, tmp_path):
     with pytest.raises(FileNotFoundError, match="train-policy"):
         load_policy(tmp_path)
     folder = tmp_path / "broken"

@@ -24,17 +24,26 @@ from dotsim_ros.control.safety_layer.freshness import HeardMessage, StreamWatch
 from dotsim_ros.control.safety_layer.limits import Readings, Reason
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.documents import value_text
+from dotsim_ros.nodes.common.counters import milliseconds
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.health import Report
 from dotsim_ros.nodes.common.reasons import reason_of
 from dotsim_ros.nodes.tactile_policy.parameters import (
     BASE_FRAME,
     RAW,
     TactilePolicyParameters,
 )
+from msg_adapters import Level
 
 # Best effort loses images between processes; of several that wait, only the newest counts.
 IMAGE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 STATE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+
+NO_FORCE_LIMIT = "force_limit_n is 0: nothing limits the force"
+NO_FORCE = (
+    "no force has come on the topic wrench: the arm does not move without; for a sensor that "
+    "measures none set force_limit_n to 0"
+)
 
 
 @dataclass(frozen=True)
@@ -134,6 +143,24 @@ class PolicyInputs:
         with self._came:
             self._came.wait_for(lambda: self._image is not last, left_s)
             return None if self._image is last else self._image
+
+    def report(self, now_s: float) -> Report:
+        """Return the state of the inputs, for the diagnostics."""
+        values: dict[str, str] = {}
+        for watch in (self.image, self.pose, self.force):
+            reading = watch.reading(now_s)
+            values |= {
+                f"{watch.name}_count": str(watch.count),
+                f"{watch.name}_repeated": str(watch.repeated),
+                f"{watch.name}_age_ms": milliseconds(reading.age_s),
+                f"{watch.name}_delay_ms": milliseconds(reading.delay_s),
+            }
+        values["refused"] = str(self.refused)
+        if not self.hears_force:
+            return Level.OK, f"listening; {NO_FORCE_LIMIT}", values
+        if not self.force.count:
+            return Level.WARN, NO_FORCE, values
+        return Level.OK, "listening", values
 
     def refuse(self, what: str, error: ValueError) -> None:
         """Count and log a message that cannot be used."""

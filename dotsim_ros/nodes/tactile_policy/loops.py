@@ -21,7 +21,9 @@ from dotsim_ros.control.arm.command import Twist
 from dotsim_ros.control.safety_layer.arm_control import ArmControl, Order
 from dotsim_ros.control.safety_layer.limits import Reason, State
 from dotsim_ros.nodes.common.beat import Beat
-from dotsim_ros.nodes.common.counters import Miss, MissCounter, RateMeter, Spread
+from dotsim_ros.nodes.common.counters import Miss, MissCounter, RateMeter, Spread, milliseconds
+from dotsim_ros.nodes.common.health import Report
+from msg_adapters import Level
 
 if TYPE_CHECKING:
     from dotsim_ros.control.policy.network import Policy
@@ -29,6 +31,15 @@ if TYPE_CHECKING:
 
 WAIT_SHARE = 0.6
 """Share of a period that a cycle waits for an image that is not there at its deadline."""
+
+LEVELS = {
+    State.DISABLED: Level.OK,
+    State.STARTING: Level.OK,
+    State.RUNNING: Level.OK,
+    State.RETREATING: Level.WARN,
+    State.STOPPED: Level.WARN,
+    State.LATCHED: Level.ERROR,
+}
 
 
 @dataclass(frozen=True)
@@ -174,6 +185,33 @@ class InferenceLoop:
                 distance, fault=(Reason.POLICY_FAILED, f"the policy failed: {error!r}")
             )
 
+    def report(self, control: ControlLoop, now_s: float) -> Report:
+        """Return the state of the inference, for the diagnostics."""
+        arrival_s = control.arrival_age_s.percentiles(50.0, 99.0)
+        stamp_s = control.stamp_age_s.percentiles(50.0, 99.0)
+        values = {
+            "rate_hz": f"{self.rate.rate_hz(now_s):.2f}",
+            "commands": str(self.taken),
+            "cycles_without_image": str(self.without_image),
+            "time_p50_p95_p99_max_ms": milliseconds(
+                *self.spent_s.percentiles(50.0, 95.0, 99.0, 100.0)
+            ),
+            "image_age_at_command_p50_p99_ms": milliseconds(*stamp_s),
+            "image_age_since_arrival_p50_p99_ms": milliseconds(*arrival_s),
+            "image_distance": f"{self.distance:.2f}",
+            "largest_distance": f"{self.largest_distance:.2f}",
+            "deadline_misses": str(self.misses.count),
+            "deadline_misses_over_40_ms": str(self.misses.reported),
+            "latest_ms": milliseconds(self.misses.worst_s),
+        }
+        if self.idle is None:
+            return (
+                Level.WARN,
+                "no idle image: call calibrate_idle with the sensor untouched",
+                values,
+            )
+        return Level.OK, "ready", values
+
 
 class ControlLoop:
     """Publishes the orders: one a tick or one a cycle, and every one that stops the arm.
@@ -270,3 +308,24 @@ class ControlLoop:
             self.arrival_age_s.note(sent_s - origin.arrival_s)
             self.stamp_age_s.note(sent_s - now_s + 1e-9 * (stamp_ns - origin.stamp_ns))
         self._taken = taken
+
+    def report(self, now_s: float) -> Report:
+        """Return the state of the loop, for the diagnostics."""
+        order = self.order
+        if order is None:
+            return Level.OK, "not begun", {}
+        values = {
+            "state": order.state.value,
+            "reason": order.reason.value,
+            "stops": ", ".join(f"{reason} {count}" for reason, count in self.stops.copy().items())
+            or "none",
+            "command_rate_hz": f"{self.rate.rate_hz(now_s):.2f}",
+            "control_rate_hz": f"{self.ticks.rate_hz(now_s):.2f}",
+            "deadline_misses": str(self.misses.count),
+            "deadline_misses_over_40_ms": str(self.misses.reported),
+            "latest_ms": milliseconds(self.misses.worst_s),
+        }
+        message = f"{order.state.value}: {order.detail}" if order.detail else order.state.value
+        if order.state is State.LATCHED:
+            message += "; call set_enabled once it is safe"
+        return LEVELS[order.state], message, values

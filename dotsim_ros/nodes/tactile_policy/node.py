@@ -32,12 +32,12 @@ from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import Miss
 from dotsim_ros.nodes.common.declare import declare
+from dotsim_ros.nodes.common.health import statuses_of
 from dotsim_ros.nodes.common.priority import take_priority
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
-from dotsim_ros.nodes.tactile_policy.health import NO_FORCE, NO_FORCE_LIMIT, statuses
-from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
+from dotsim_ros.nodes.tactile_policy.inputs import NO_FORCE, NO_FORCE_LIMIT, PolicyInputs
 from dotsim_ros.nodes.tactile_policy.loops import ControlLoop, InferenceLoop
 from dotsim_ros.nodes.tactile_policy.parameters import (
     CONTROL_RATE_HZ,
@@ -191,15 +191,13 @@ class TactilePolicy(WorkingNode):
         )
 
     def _health(self) -> list[Status]:
-        return statuses(
-            self.label,
-            self._policy.name,
-            inputs=self._inputs,
-            inference=self._inference,
-            control=self._loop,
-            warnings=self._crowds(),
-            now_s=self.now_s(),
-        )
+        now_s = self.now_s()
+        reports = {
+            "control": self._loop.report(now_s),
+            "inference": self._inference.report(self._loop, now_s),
+            "input": self._inputs.report(now_s),
+        }
+        return statuses_of(self.label, self._policy.name, reports, self._crowds())
 
     def _crowds(self) -> dict[str, str]:
         """Return which topics have more than one publisher, by part of the diagnostics."""
