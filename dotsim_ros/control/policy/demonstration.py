@@ -268,51 +268,39 @@ class Demonstrator:
         gel.reset()
         for place in approach(places[0], self.contact):
             gel.press(Pose(place), 1.0 / RATE_HZ)
-        record = _Record(gel, looks, self.view)
+        crops: list[list[ImageArray]] = [[] for _ in looks]
+        fingerprints: list[list[NDArray[np.float32]]] = [[] for _ in looks]
+        seen_m: list[FloatArray] = []
+
+        def press(pose: Pose) -> ImageArray:
+            """Press the gel, keep what each look sees of it, and return the first one's image."""
+            skin = gel.press(pose, 1.0 / RATE_HZ).skin_position_m
+            images = [look.image(skin) for look in looks]
+            for row, (look, image) in enumerate(zip(looks, images, strict=True)):
+                crops[row].append(self.view.crop(image))
+                fingerprints[row].append(fingerprint(image, look.idle))
+            seen_m.append(pose.position_m)
+            return images[0]
+
         if self.plan.policy and kind != WANDER:
-            follow(
-                load_policy(Path(self.plan.policy), kind, thread_count=1),
-                record,
-                looks[0].idle,
-                Pose(places[0]),
-                frame_count=len(places),
-                rate_hz=RATE_HZ,
-            )
+            policy = load_policy(Path(self.plan.policy), kind, thread_count=1)
+            start, count = Pose(places[0]), len(places)
+            follow(policy, press, looks[0].idle, start, frame_count=count, rate_hz=RATE_HZ)
         else:
             with suppress(GelFailureError):
                 for place in places:
-                    record(Pose(place))
-        position = np.reshape(record.position_m, (-1, 3))
-        if not len(position):
+                    press(Pose(place))
+        if not seen_m:
             raise GelFailureError(f"the gel could not be solved for the start of episode {number}")
+        position = np.reshape(seen_m, (-1, 3))
         return Episode(
-            np.array(record.crops, dtype=np.uint8),
+            np.array(crops, dtype=np.uint8),
             np.array([self.view.crop(look.idle) for look in looks]),
-            np.array(record.fingerprints, dtype=np.float32),
+            np.array(fingerprints, dtype=np.float32),
             position,
             labels(self.plan.paths, self.contact, position),
             self.plan.paths,
         )
-
-
-class _Record:
-    """Presses the gel and keeps what each look saw."""
-
-    def __init__(self, gel: TactileSensor, looks: Sequence[Look], view: PolicyView) -> None:
-        self._gel, self._looks, self._view = gel, looks, view
-        self.crops: list[list[ImageArray]] = [[] for _ in looks]
-        self.fingerprints: list[list[NDArray[np.float32]]] = [[] for _ in looks]
-        self.position_m: list[FloatArray] = []
-
-    def __call__(self, pose: Pose) -> ImageArray:
-        """Return the image (H, W, 3) of the first look with the indenter at a pose."""
-        skin = self._gel.press(pose, 1.0 / RATE_HZ).skin_position_m
-        images = [look.image(skin) for look in self._looks]
-        for number, (look, image) in enumerate(zip(self._looks, images, strict=True)):
-            self.crops[number].append(self._view.crop(image))
-            self.fingerprints[number].append(fingerprint(image, look.idle))
-        self.position_m.append(pose.position_m)
-        return images[0]
 
 
 def episode_file(folder: Path, number: int) -> Path:
