@@ -88,6 +88,7 @@ class PolicyCard:
                 raise ValueError(
                     f"{name} is {getattr(self, name):g}, expected above 0 and at most {largest:g}"
                 )
+        # Refuses a part of an image that there is not.
         _ = self.view
 
     @property
