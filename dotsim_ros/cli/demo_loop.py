@@ -51,12 +51,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
     import numpy as np
 
-    from dotsim_ros.control.loop.bag import read_loop_bag
     from dotsim_ros.control.loop.judge import judge, summary_of, trial_start
-    from dotsim_ros.control.loop.recording import LoopRecording
+    from dotsim_ros.control.loop.recording import LoopRecording, read_loop_bag
     from dotsim_ros.control.loop.report import path_image, trial_report
-    from dotsim_ros.control.policy.card import read_policy
     from dotsim_ros.control.policy.demonstration import contact_of
+    from dotsim_ros.control.policy.network import read_policy
     from dotsim_ros.control.policy.paths import reference_path
     from dotsim_ros.control.policy.rollout import APPROACH_S
     from dotsim_ros.data.bag import bag_sha256

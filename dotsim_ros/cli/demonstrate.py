@@ -51,8 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the demonstrations."""
-    from dotsim_ros.control.policy.demonstration import Plan, demonstrate
-    from dotsim_ros.control.policy.demonstration_card import read_card
+    from dotsim_ros.control.policy.demonstration import Plan, demonstrate, read_card
     from dotsim_ros.control.policy.paths import PATHS, reference_path
     from dotsim_ros.geometry.indenter import load_indenter
     from dotsim_ros.io.files import write_json

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Names of folders of earlier releases, which lead to the new ones for a release."""
+"""Names of folders and files of earlier releases, which lead to the new ones for a release."""
 
 from __future__ import annotations
 
@@ -23,6 +23,11 @@ MOVED = {
     "dotsim_ros.tasks.control.safety": "dotsim_ros.control.safety_layer.limits",
     "dotsim_ros.tasks.control": "dotsim_ros.control.safety_layer",
     "dotsim_ros.tasks": "dotsim_ros.control",
+    "dotsim_ros.control.loop.bag": "dotsim_ros.control.loop.recording",
+    "dotsim_ros.control.policy.card": "dotsim_ros.control.policy.network",
+    "dotsim_ros.control.policy.demonstration_card": "dotsim_ros.control.policy.demonstration",
+    "dotsim_ros.control.policy.expert": "dotsim_ros.control.policy.paths",
+    "dotsim_ros.control.policy.export": "dotsim_ros.control.policy.resnet",
     **{
         f"dotsim_ros.{name}": f"dotsim_ros.io.{name}"
         for name in (

@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.control.policy.card import read_policy
+from dotsim_ros.control.policy.network import read_policy
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
 from dotsim_ros.nodes.tactile_sim.profiles import NAMES
 from studies.run import FAILED, expect_known, expect_positive

@@ -25,7 +25,7 @@ from geometry_msgs.msg import PoseStamped
 import msg_adapters
 from dotsim_ros.control.loop.judge import motion_figures, trial_start
 from dotsim_ros.control.loop.recording import LoopRecording
-from dotsim_ros.control.policy.card import read_policy
+from dotsim_ros.control.policy.network import read_policy
 from dotsim_ros.control.policy.paths import PATHS, reference_path
 from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.io.arrays import FloatArray

@@ -42,7 +42,7 @@ from std_srvs.srv import SetBool
 
 import msg_adapters
 from dotsim_ros.control.loop.judge import trial_start
-from dotsim_ros.control.policy.card import read_policy
+from dotsim_ros.control.policy.network import read_policy
 from dotsim_ros.control.policy.paths import PATHS, reference_path
 from dotsim_ros.io.files import given_path
 from dotsim_ros.nodes.common.transport import stay_local

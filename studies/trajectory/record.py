@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from dotsim_ros.control.loop.judge import limits_shown
-from dotsim_ros.control.policy.card import read_policy
+from dotsim_ros.control.policy.network import read_policy
 from dotsim_ros.io.files import cache_directory
 from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.tactile_policy.files import policy_folder

@@ -20,7 +20,7 @@ from dotsim_ros.control.environments.ball import (
     PressEnvironment,
 )
 from dotsim_ros.control.environments.box_yaw import MOVES, BoxYawEnvironment, BoxYawTask
-from dotsim_ros.control.policy.expert import Expert
+from dotsim_ros.control.policy.paths import Expert
 from dotsim_ros.specification import load_sensor
 
 
@@ -36,11 +36,7 @@ def tangential(environment: BoxYawEnvironment) -> np.int64:
     return np.int64(np.argmax(MOVES @ np.array([-y, x]) / lengths))
 
 
-PADS = ("gelsight_mini", "digit")
-NAMES = ("DenseTactPress-v0", "DenseTactFollow-v0", "DenseTactBoxYaw-v0")
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["DenseTactPress-v0", "DenseTactBoxYaw-v0"])
 def test_gymnasium_finds_nothing_wrong(name: str) -> None:
     made = gymnasium.make(name, observation="image", image_size_px=(32, 32))
     check_env(made.unwrapped, skip_render_check=True)
@@ -77,7 +73,7 @@ def test_staying_costs_and_turns_nothing(environment: BoxYawEnvironment) -> None
 
 def test_the_side_decides_which_way_turns_the_box(environment: BoxYawEnvironment) -> None:
     yaws = {}
-    for seed in range(8):
+    for seed in range(4):
         environment.reset(seed=seed)
         side = float(np.sign(environment.data.mocap_pos[0, 0]))
         before_rad = environment.yaw_rad
@@ -108,12 +104,12 @@ def test_one_seed_gives_one_episode(environment: BoxYawEnvironment) -> None:
     assert not np.array_equal(episodes[0], episodes[2])
 
 
-@pytest.mark.parametrize("action", [np.nan, 9, -1, np.array([0.5])])
-def test_an_impossible_action_moves_nothing(environment: BoxYawEnvironment, action: object) -> None:
+def test_an_impossible_action_moves_nothing(environment: BoxYawEnvironment) -> None:
     environment.reset(seed=0)
     before = environment.data.qpos.copy(), environment.data.mocap_pos.copy()
-    with pytest.raises(ValueError, match="expected a whole number from 0 to 8"):
-        environment.step(action)  # type: ignore[arg-type]
+    for action in (np.nan, 9, -1, np.array([0.5])):
+        with pytest.raises(ValueError, match="expected a whole number from 0 to 8"):
+            environment.step(action)  # type: ignore[arg-type]
     assert np.array_equal(environment.data.qpos, before[0])
     assert np.array_equal(environment.data.mocap_pos, before[1])
 
@@ -129,33 +125,17 @@ def test_a_box_pushed_through_the_gel_ends_the_episode_with_the_reason() -> None
     environment.reset(seed=0)
 
 
-def test_a_step_before_a_reset_is_refused() -> None:
-    environment = BoxYawEnvironment(observation="wrench")
+def test_what_an_environment_cannot_do_is_refused() -> None:
     with pytest.raises(gymnasium.error.ResetNeeded):
-        environment.step(np.int64(0))
-
-
-def test_an_unknown_observation_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected one of image, depth, skin, wrench"):
-        BoxYawEnvironment(observation="touch")
-    with pytest.raises(ValueError, match="at least 16 pixels"):
-        BoxYawEnvironment(image_size_px=(8, 64))
-
-
-def test_processes_give_the_same_as_one_world() -> None:
-    options = {"observation": "wrench"}
-    alone = gymnasium.make("DenseTactBoxYaw-v0", **options)
-    together = gymnasium.make_vec(
-        "DenseTactBoxYaw-v0", num_envs=2, vectorization_mode="async", **options
-    )
-    try:
-        first, _ = together.reset(seed=[5, 6])
-        second, *_ = together.step(np.array([3, 4]))
-    finally:
-        together.close()
-    for index, (seed, action) in enumerate(((5, 3), (6, 4))):
-        assert np.array_equal(alone.reset(seed=seed)[0], first[index])
-        assert np.array_equal(alone.step(np.int64(action))[0], second[index])
+        BoxYawEnvironment(observation="wrench").step(np.int64(0))
+    for wrong, reason in (
+        ({"observation": "touch"}, "expected one of image, depth, skin, wrench"),
+        ({"image_size_px": (8, 64)}, "at least 16 pixels"),
+        ({"force_n": 0.0}, "less than 10 N"),
+        ({"duration_s": 0.01}, "expected at least 0.04 s"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            PressEnvironment(**wrong)
 
 
 def test_a_press_with_a_rule_reaches_its_force() -> None:
@@ -173,9 +153,9 @@ def test_a_press_with_a_rule_reaches_its_force() -> None:
     assert total == pytest.approx(2.0, abs=0.15)
 
 
-@pytest.mark.parametrize("sensor", ["densetact2", *PADS])
+@pytest.mark.parametrize("sensor", ["densetact2", "digit"])
 def test_the_expert_follows_its_path(sensor: str) -> None:
-    environment = FollowEnvironment(observation="wrench", duration_s=2.0, sensor=sensor)
+    environment = FollowEnvironment(observation="wrench", duration_s=1.2, sensor=sensor)
     expert = Expert(environment.path, look_ahead_s=0.0)
     environment.reset(seed=0)
     ended, total = False, 0.0
@@ -187,28 +167,25 @@ def test_the_expert_follows_its_path(sensor: str) -> None:
         total, ended = total + reward, fell or late
     assert not fell
     assert info["distance_m"] < 0.2e-3
-    assert info["laps"] > 0.15
-    assert total > 20.0
+    assert info["laps"] > 0.09
+    assert total > 12.0
 
 
-@pytest.mark.parametrize(
-    "action",
-    [
-        np.full(3, np.nan),
-        np.zeros(2),
-        np.zeros((1, 3)),
-        np.array([0, np.inf, 0]),
-        np.float32([1.5, 0, -3]),
-        [0.0, -1.0 - 1e-5, 0.0],
-        {"velocity": 1.0},
-    ],
-)
-def test_a_ball_that_is_sent_nowhere_stays(action: Any) -> None:
+def test_a_ball_that_is_sent_nowhere_stays() -> None:
     environment = PressEnvironment(observation="wrench")
     environment.reset(seed=0)
     before = environment.position_m.copy()
-    with pytest.raises(ValueError, match="expected three finite numbers from -1 to 1"):
-        environment.step(action)
+    wrong: list[Any] = [
+        np.full(3, np.nan),
+        np.zeros(2),
+        np.zeros((1, 3)),
+        np.float32([1.5, 0, -3]),
+        [0.0, -1.0 - 1e-5, 0.0],
+        {"velocity": 1.0},
+    ]
+    for action in wrong:
+        with pytest.raises(ValueError, match="expected three finite numbers from -1 to 1"):
+            environment.step(action)
     assert np.array_equal(environment.position_m, before)
     # Rounding is no fault: it is the largest speed.
     environment.step(np.array([1.0 + 1e-7, 0.0, 0.0]))
@@ -217,22 +194,29 @@ def test_a_ball_that_is_sent_nowhere_stays(action: Any) -> None:
 
 @pytest.mark.fault("environments", "an action of 1.5 in one of two worlds")
 @pytest.mark.parametrize("mode", ["sync", "async"])
-def test_an_action_out_of_range_is_refused_in_every_world(
+def test_worlds_give_the_same_as_one_and_refuse_what_it_refuses(
     mode: str, answered: Callable[..., None]
 ) -> None:
-    worlds = gymnasium.make_vec(
-        "DenseTactPress-v0", num_envs=2, vectorization_mode=mode, observation="wrench"
+    options = {"observation": "wrench"}
+    together = gymnasium.make_vec(
+        "DenseTactPress-v0", num_envs=2, vectorization_mode=mode, **options
     )
+    moves = np.float32([[0, 0, -0.5], [0.2, 0, -0.5]])
     try:
-        worlds.reset(seed=0)
+        first, _ = together.reset(seed=[5, 6])
+        second, *_ = together.step(moves)
         with pytest.raises(ValueError, match="expected three finite numbers from -1") as refused:
-            worlds.step(np.float32([[0, 0, 0], [0, 0, 1.5]]))
+            together.step(np.float32([[0, 0, 0], [0, 0, 1.5]]))
     finally:
-        worlds.close()
+        together.close()
     answered(str(refused.value))
+    alone = gymnasium.make("DenseTactPress-v0", **options)
+    for index, seed in enumerate((5, 6)):
+        assert np.array_equal(alone.reset(seed=seed)[0], first[index])
+        assert np.array_equal(alone.step(moves[index])[0], second[index])
 
 
-@pytest.mark.parametrize("sensor", [*PADS, "densetact2"])
+@pytest.mark.parametrize("sensor", ["densetact2", "gelsight_mini"])
 def test_a_press_begins_half_a_millimetre_above_the_skin_and_reaches_its_force(sensor: str) -> None:
     environment = PressEnvironment(observation="wrench", sensor=sensor)
     for seed in range(3):
@@ -268,7 +252,7 @@ def test_a_pad_comes_down_on_the_box_and_turns_it() -> None:
 def test_a_path_that_is_too_deep_for_a_thin_pad_is_refused() -> None:
     pad = load_sensor("digit")
     gel = replace(
-        pad.gel, shape="flat_pad", face_radius_m=(0.0, 0.0), pad_size_m=(0.02, 0.03, 0.002)
+        pad.gel, shape="flat_pad", face_radius_m=(0.0, 0.0), pad_size_m=(0.012, 0.012, 0.002)
     )
     thin = replace(pad, gel=gel, solver=replace(pad.solver, grid_spacing_m=0.001, refined=False))
     with pytest.raises(ValueError, match="path 'line' is too deep for the gel of 'digit'"):
@@ -283,8 +267,3 @@ def test_a_ball_pushed_through_the_gel_ends_the_episode_with_the_reason() -> Non
     while not truncated:
         _, _, _, truncated, info = environment.step(inward.astype(np.float32))
     assert "press less deep" in info["reason"]
-
-
-def test_a_force_out_of_range_is_refused() -> None:
-    with pytest.raises(ValueError, match="less than 10 N"):
-        PressEnvironment(force_n=0.0)

@@ -12,14 +12,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from harness import PATIENCE_S, spin_in_background
-from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from watcher import Watcher
 
 import msg_adapters
 
@@ -31,7 +27,7 @@ TOPICS: dict[str, type] = {
 }
 
 
-class ArmClient:
+class ArmClient(Watcher):
     """Leads the arm of a node and records what comes.
 
     Args:
@@ -40,33 +36,13 @@ class ArmClient:
     """
 
     def __init__(self, node_name: str, topics: dict[str, type] = TOPICS) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self.node = rclpy.create_node("arm_client", context=self._context)
+        super().__init__("arm_client")
         self._node_name = node_name
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
         self.heard: dict[str, list[tuple[float, Any]]] = {topic: [] for topic in topics}
-        self.diagnostics: dict[str, msg_adapters.Status] = {}
         self.commands = self.node.create_publisher(TwistStamped, "cmd_vel", 1)
         for topic, kind in topics.items():
             self.node.create_subscription(kind, topic, self._collector(topic), 50)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self._thread = spin_in_background(self.node)
-
-    def close(self) -> None:
-        """Leave the graph."""
-        rclpy.try_shutdown(context=self._context)
-        self._thread.join(10.0)
-        self.node.destroy_node()
-
-    def wait(self, is_reached: Callable[[], Any], what: str) -> Any:
-        """Wait until something holds."""
-        end_s = time.monotonic() + PATIENCE_S
-        with self._changed:
-            while not (reached := is_reached()):
-                assert time.monotonic() < end_s, f"waited {PATIENCE_S} s for {what}"
-                self._changed.wait(0.02)
-        return reached
 
     def meet(self) -> None:
         """Wait until the arm hears and is heard."""
@@ -132,7 +108,7 @@ class ArmClient:
     ) -> tuple[np.ndarray[Any, Any], ...]:
         """Return the stamps (N,) in seconds and positions (N, 3) of the poses heard since a time,
         of those that were sent between two others."""
-        with self._changed:
+        with self._lock:
             heard = [message for arrival_s, message in self.heard["ee_pose"] if arrival_s > since_s]
         found = [
             each
@@ -145,7 +121,7 @@ class ArmClient:
 
     def count(self, topic: str) -> int:
         """Return how many messages of a topic have come."""
-        with self._changed:
+        with self._lock:
             return len(self.heard[topic])
 
     def state(self, part: str, is_wanted: Callable[[msg_adapters.Status], bool]) -> Any:
@@ -158,38 +134,18 @@ class ArmClient:
 
     def trigger(self, name: str) -> Any:
         """Call a service of the node without arguments."""
-        return self._call(Trigger, f"/{self._node_name}/{name}", Trigger.Request())
+        return self.call(Trigger, f"/{self._node_name}/{name}")
 
     def set_parameters(self, **values: Any) -> Any:
         """Set parameters of the node together; return the result with its reason."""
-        parameters = [Parameter(name, value=value) for name, value in values.items()]
-        request = SetParametersAtomically.Request(
-            parameters=[parameter.to_parameter_msg() for parameter in parameters]
-        )
-        name = f"/{self._node_name}/set_parameters_atomically"
-        return self._call(SetParametersAtomically, name, request).result
-
-    def _call(self, kind: type, name: str, request: Any) -> Any:
-        client = self.node.create_client(kind, name)
-        assert client.wait_for_service(PATIENCE_S), name
-        future = client.call_async(request)
-        self.wait(future.done, f"an answer of {name}")
-        self.node.destroy_client(client)
-        return future.result()
+        return self.set_parameters_of(f"/{self._node_name}", **values)
 
     def _collector(self, topic: str) -> Callable[[Any], None]:
         def collect(message: Any) -> None:
-            with self._changed:
+            with self._lock:
                 self.heard[topic].append((time.monotonic(), message))
-                self._changed.notify_all()
 
         return collect
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        with self._changed:
-            for status in msg_adapters.decode_diagnostics(message):
-                self.diagnostics[status.name] = status
-            self._changed.notify_all()
 
 
 @contextmanager

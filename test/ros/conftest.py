@@ -31,7 +31,6 @@ TIMED = {
     "test_drop_in",
     "test_realtime",
     "test_tactile_policy",
-    "test_tactile_policy_loop",
     "test_xarm_sim",
 }
 """Files whose nodes must keep times: no other test runs next to theirs."""

@@ -18,13 +18,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, measured_until, running, spin_in_background
-from rclpy.client import Client
+from harness import Executable, measured_until, running
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
+from watcher import Watcher
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose
@@ -61,9 +59,9 @@ def write_network(folder: Path) -> Path:
     import torch
     from torch import Tensor, nn
 
-    from dotsim_ros.control.policy.card import FORMAT, PolicyCard
     from dotsim_ros.control.policy.images import CHANNEL_COUNT, fingerprint
-    from dotsim_ros.control.policy.network import save_policy
+    from dotsim_ros.control.policy.network import FORMAT, PolicyCard
+    from dotsim_ros.control.policy.resnet import save_policy
 
     class Steady(nn.Module):
         def __init__(self) -> None:
@@ -132,7 +130,7 @@ def stopping_times_s(stop: Callable[[], float], *, limit_s: float) -> list[float
     return measured_until(stop, below=limit_s, never=1.0)
 
 
-class Observer:
+class Observer(Watcher):
     """Reads what the node says, and calls its services.
 
     Args:
@@ -141,65 +139,32 @@ class Observer:
 
     Attributes:
         commands: all that came.
-        diagnostics: the newest, by name.
         heard: the poses of the arm that came, each with its stamp (s).
         tool: the newest pose of the arm.
         last_pose_s: its stamp.
     """
 
     def __init__(self, namespace: str, *, commands: str = "tactile_policy/cmd_vel") -> None:
+        super().__init__("observer", namespace)
         self.commands: list[Command] = []
-        self.diagnostics: dict[str, msg_adapters.Status] = {}
         self.heard: list[tuple[float, Pose]] = []
         self.tool = Pose((0.3, 0.0, 0.2), DOWN)
         self.last_pose_s = 0.0
         self._prefix = f"{namespace}/" if namespace else ""
         self._lock = Lock()
-        self._clients: dict[str, Client] = {}
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self.node = rclpy.create_node("observer", context=self._context, namespace=namespace)
         self.node.create_subscription(TwistStamped, commands, self._on_command, 100)
         self.node.create_subscription(PoseStamped, "ee_pose", self._on_pose, 10)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self._stop = Event()
-        self._threads = [spin_in_background(self.node)]
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._stop.set()
-        rclpy.try_shutdown(context=self._context)
-        for thread in self._threads:
-            thread.join(10.0)
-        self.node.destroy_node()
-
-    def wait(self, is_reached: Callable[[], Any], what: str) -> Any:
-        """Wait until something holds."""
-        end_s = time.monotonic() + PATIENCE_S
-        while not (reached := is_reached()):
-            assert time.monotonic() < end_s, f"waited {PATIENCE_S} s for {what}; {self.diagnostics}"
-            time.sleep(0.01)
-        return reached
-
-    def call(self, kind: type, name: str, **fields: Any) -> Any:
-        """Call a service and return its response; a name without / is the policy's."""
-        name = name if "/" in name else f"tactile_policy/{name}"
-        # Kept, so that a call that is timed does not wait for the graph.
-        if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, name)
-        client = self._clients[name]
-        assert client.wait_for_service(PATIENCE_S), name
-        future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
-        self.wait(future.done, f"an answer of {name}")
-        return future.result()
 
     def enable(self, wanted: bool = True) -> Any:
         """Call set_enabled."""
-        return self.call(SetBool, "set_enabled", data=wanted)
+        return self.call(SetBool, "tactile_policy/set_enabled", data=wanted)
 
     def calibrate(self) -> None:
         """Let the node take its idle image."""
-        self.wait(lambda: self.call(Trigger, "calibrate_idle").success, "an idle image to be taken")
+        self.wait(
+            lambda: self.call(Trigger, "tactile_policy/calibrate_idle").success,
+            "an idle image to be taken",
+        )
 
     def newest(self) -> Command:
         """Return the newest command."""
@@ -254,10 +219,6 @@ class Observer:
         self.last_pose_s = 1e-9 * msg_adapters.message_stamp_ns(message)
         self.heard.append((self.last_pose_s, self.tool))
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in msg_adapters.decode_diagnostics(message):
-            self.diagnostics[status.name] = status
-
 
 class Rig(Observer):
     """Images at 25 Hz, an arm that obeys at once at 100 Hz, and a force.
@@ -290,6 +251,8 @@ class Rig(Observer):
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._now_ns = now_ns
+        self._stop = Event()
+        self._beats: list[Thread] = []
         super().__init__(namespace)
         self.idle = idle_crop()
         self.crop = self.idle
@@ -311,8 +274,15 @@ class Rig(Observer):
         self.wrenches = self.node.create_publisher(WrenchStamped, "wrench", 5)
         beats = [(IMAGE_PERIOD_S, self._send_image), (POSE_PERIOD_S, self._send_pose)]
         for beat in beats:
-            self._threads.append(Thread(target=self._beat, args=beat, daemon=True))
-            self._threads[-1].start()
+            self._beats.append(Thread(target=self._beat, args=beat, daemon=True))
+            self._beats[-1].start()
+
+    def close(self) -> None:
+        """End the streams and leave the graph."""
+        self._stop.set()
+        for beat in self._beats:
+            beat.join(10.0)
+        super().close()
 
     def start(self) -> None:
         """Mend everything, enable, and wait until the arm moves."""

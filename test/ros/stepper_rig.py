@@ -7,21 +7,22 @@ from __future__ import annotations
 
 import itertools
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+import pytest
 from geometry_msgs.msg import PoseStamped
-from harness import PATIENCE_S, Executable, spin_in_background
+from harness import Executable
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
+from watcher import Watcher
 
 import msg_adapters
+from dotsim_ros.nodes.simulated_time.participants import read_participants
+from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings, SteppingError
 
 MODULE = "dotsim_ros.nodes.time_stepper.node"
 TICK_S = 0.02
@@ -172,13 +173,12 @@ CONTROLLER_ENTRY = f"  controller:\n{REPLYING}      beats: {{every_s: {BEAT_S}}}
 _numbers = itertools.count()
 
 
-class Session:
+class Session(Watcher):
     """A stepper and the nodes that take part, in a namespace of their own.
 
     Attributes:
         clock_ns: every time that /clock has told, in order.
         ticks: of the worker: stamp (s), count, replies and beats heard.
-        diagnostics: the newest state of the stepper, None before the first.
     """
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
@@ -187,17 +187,16 @@ class Session:
         self.namespace = f"/steps_{next(_numbers)}"
         self.clock_ns: list[int] = []
         self.ticks: list[tuple[float, int, int, int]] = []
-        self.diagnostics: msg_adapters.Status | None = None
-        self._changed = threading.Condition()
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self.node = rclpy.create_node("user", context=self._context, namespace=self.namespace)
+        super().__init__("user", self.namespace)
+        stack.callback(self.close)
         deep = QoSProfile(history=HistoryPolicy.KEEP_ALL)
         self.node.create_subscription(Clock, "/clock", self._on_clock, deep)
         self.node.create_subscription(PoseStamped, "ticks", self._on_tick, deep)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self._thread = spin_in_background(self.node)
-        stack.callback(self._close)
+
+    @property
+    def time(self) -> msg_adapters.Status | None:
+        """Return the newest state of the stepper, None before the first."""
+        return self.diagnostics.get(f"{self.namespace[1:]}/time_stepper: time")
 
     def start(self, code: str, **parameters: Any) -> Executable:
         """Start a participant."""
@@ -221,10 +220,41 @@ class Session:
         self.wait(lambda: self.clock_ns, "the time that runs")
         return stepper
 
-    def reason(self, stepper: Executable) -> str:
-        """Wait until the stepper ends by itself; return the one line that says why."""
-        assert stepper.exit_status() == 1, stepper.log
-        return self.fatal(stepper)
+    @contextmanager
+    def stepping(self, participants: str = WORKER_ENTRY, **settings: float) -> Iterator[Stepper]:
+        """Step participants from here: a stepper without a node of its own to start."""
+        path = self._folder / f"participants_{next(_numbers)}.yaml"
+        path.write_text(f"participants:\n{participants}")
+        watcher = Watcher("time_stepper", self.namespace)
+        try:
+            yield Stepper(watcher.node, read_participants(path), StepperSettings(**settings))
+        finally:
+            watcher.close()
+
+    def reason(self, stepper: Stepper, seconds: float = 60.0) -> str:
+        """Step until that fails; return why, as in no namespace."""
+        with pytest.raises(SteppingError) as caught:
+            stepper.advance(seconds)
+        return str(caught.value).replace(f"{self.namespace[1:]}/", "")
+
+    def hindrance(self, stepper: Stepper, text: str) -> str:
+        """Wait until time cannot begin for a reason; return it, as in no namespace."""
+
+        def join() -> None:
+            with suppress(SteppingError):
+                stepper.join()
+
+        def found() -> str:
+            plain = stepper.waiting_for.replace(f"{self.namespace[1:]}/", "")
+            return plain if text in plain else ""
+
+        thread = threading.Thread(target=join)
+        thread.start()
+        try:
+            return self.wait(found, text)
+        finally:
+            stepper.cancel()
+            thread.join()
 
     def fatal(self, executable: Executable) -> str:
         """Return the one line with which a node has ended, as in no namespace."""
@@ -236,7 +266,7 @@ class Session:
         """Wait until time cannot begin for a reason; return it, as in no namespace."""
 
         def found() -> str:
-            plain = self.diagnostics.values["waiting_for"] if self.diagnostics else ""
+            plain = self.time.values["waiting_for"] if self.time else ""
             plain = plain.replace(f"{self.namespace[1:]}/", "")
             return plain if text in plain else ""
 
@@ -246,14 +276,6 @@ class Session:
         self._stack.callback(executable.end)
         return executable
 
-    def wait(self, is_reached: Callable[[], Any], what: str) -> Any:
-        """Wait until something holds."""
-        end_s = time.monotonic() + PATIENCE_S
-        while not (reached := is_reached()):
-            assert time.monotonic() < end_s, f"waited {PATIENCE_S} s for {what}; {self.diagnostics}"
-            time.sleep(0.01)
-        return reached
-
     def wait_for_time(self, time_s: float) -> None:
         """Wait until the simulated time has come so far."""
         self.wait(lambda: self.clock_ns and self.clock_ns[-1] >= 1e9 * time_s, f"{time_s} s")
@@ -261,28 +283,17 @@ class Session:
     def wait_for_state(self, state: str) -> msg_adapters.Status:
         """Wait until the stepper reports a state."""
         return self.wait(
-            lambda: (
-                (found := self.diagnostics) is not None and found.values["state"] == state and found
-            ),
+            lambda: (found := self.time) and found.values["state"] == state and found,
             f"the state {state}",
         )
 
-    def call(self, kind: type, name: str, *, of: str = "time_stepper", **fields: Any) -> Any:
-        """Call a service of a node, by default of the stepper, and return its response."""
-        client = self.node.create_client(kind, f"{of}/{name}")
-        assert client.wait_for_service(PATIENCE_S), name
-        future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
-        self.wait(future.done, f"an answer of {name}")
-        self.node.destroy_client(client)
-        return future.result()
-
     def trigger(self, name: str) -> Any:
         """Call a service without arguments."""
-        return self.call(Trigger, name)
+        return self.call(Trigger, f"time_stepper/{name}")
 
     def pause(self, wanted: bool = True) -> Any:
         """Pause, or let time run."""
-        return self.call(SetBool, "pause", data=wanted)
+        return self.call(SetBool, "time_stepper/pause", data=wanted)
 
     def _on_clock(self, message: Clock) -> None:
         now_ns = message.clock.sec * 10**9 + message.clock.nanosec
@@ -292,16 +303,6 @@ class Session:
         place = message.pose.position
         stamp_s = 1e-9 * msg_adapters.message_stamp_ns(message)
         self.ticks.append((stamp_s, int(place.x), int(place.y), int(place.z)))
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in msg_adapters.decode_diagnostics(message):
-            if status.name == f"{self.namespace[1:]}/time_stepper: time":
-                self.diagnostics = status
-
-    def _close(self) -> None:
-        rclpy.try_shutdown(context=self._context)
-        self._thread.join(10.0)
-        self.node.destroy_node()
 
 
 @contextmanager

@@ -50,6 +50,14 @@ def steps(tmp_path: Path) -> Iterator[Session]:
         yield found
 
 
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    """A worker that takes part in the steps of one stepper after the other."""
+    with session(tmp_path_factory.mktemp("steps")) as found:
+        found.start(WORKER, **STEPPED)
+        yield found
+
+
 def test_all_go_together(steps: Session) -> None:
     steps.start(WORKER, **STEPPED)
     steps.start(CONTROLLER, **SIMULATED)
@@ -73,38 +81,34 @@ def test_all_go_together(steps: Session) -> None:
     assert int(running.values["steps"]) > 0
 
 
-def test_a_managed_node_may_rest_but_not_be_configured_anew(steps: Session) -> None:
+def test_a_managed_node_may_rest_but_not_be_configured_again(steps: Session) -> None:
     def change(label: str) -> None:
         asked = Transition(label=label)
-        assert steps.call(ChangeState, "change_state", of="worker", transition=asked).success
+        assert steps.call(ChangeState, "worker/change_state", transition=asked).success
 
     steps.start(MANAGED_WORKER, **STEPPED)
-    stepper = steps.begin()
-    steps.wait(lambda: len(steps.ticks) > 20, "ticks")
-    change("deactivate")
-    rests_s = 1e-9 * steps.clock_ns[-1]
-    steps.wait_for_time(rests_s + 1.0)
-    count = len(steps.ticks)
-    steps.wait_for_time(rests_s + 2.0)
-    assert len(steps.ticks) == count
-    change("activate")
-    steps.wait(lambda: len(steps.ticks) > count + 20, "ticks again")
-    _, counts, _, _ = np.array(steps.ticks).T
-    np.testing.assert_array_equal(np.diff(counts), 1)
-    change("deactivate")
-    change("cleanup")
-    assert "worker left at" in (reason := steps.reason(stepper))
-    assert "started again: start all participants together" in reason
+    with steps.stepping() as stepper:
+        stepper.advance(1.0)
+        change("deactivate")
+        stepper.advance(0.5)
+        steps.wait(lambda: steps.ticks and steps.clock_ns[-1] >= stepper.time_ns, "the last tick")
+        count = len(steps.ticks)
+        stepper.advance(1.0)
+        change("activate")
+        stepper.advance(1.0)
+        steps.wait(lambda: len(steps.ticks) >= count + 48, "ticks again")
+        stamps_s, counts, _, _ = np.array(steps.ticks).T
+        np.testing.assert_array_equal(np.diff(counts), 1)
+        assert np.sum(np.diff(stamps_s) > 1.4) == 1
+        change("deactivate")
+        change("cleanup")
+        assert "started again: start all participants together" in steps.reason(stepper)
 
 
-def _new_starts(steps: Session) -> IntArray:
-    """Return where the worker's count of its ticks began again."""
-    return np.flatnonzero(np.diff([count for _, count, _, _ in list(steps.ticks)]) < 0)
-
-
-def test_pause_step_and_reset(steps: Session) -> None:
+def test_services_and_speed(steps: Session) -> None:
+    """Pause, steps and a reset; what is no message of the protocol; time that keeps its speed."""
     steps.start(WORKER, **STEPPED)
-    stepper = steps.step(paused="true", steps_per_call=5, start_s=7.0)
+    stepper = steps.step(paused="true", steps_per_call=5, start_s=7.0, speed=1.0)
     stepper.wait_for_line("simulated time begins, paused")
     assert steps.wait_for_state("paused").values["steps"] == "0"
     steps.wait(lambda: steps.node.count_publishers("/clock"), "the stepper")
@@ -112,16 +116,29 @@ def test_pause_step_and_reset(steps: Session) -> None:
     assert steps.trigger("step").message == "at 7.050 s"
     assert steps.trigger("step").message == "at 7.100 s"
     steps.wait_for_time(7.1)
-    assert steps.clock_ns[-1] == 7_100_000_000
     time.sleep(0.3)
     assert steps.clock_ns[-1] == 7_100_000_000
 
     assert steps.pause(False).message == "running"
-    steps.wait_for_time(8.0)
-    steps.wait(lambda: steps.ticks, "a tick")
+    for topic in ("answer", "step"):
+        publisher = steps.node.create_publisher(String, f"/simulated_time/{topic}", 1)
+        steps.wait(publisher.get_subscription_count, "a reader")
+        publisher.publish(String(data="[" * 5000))
+    stepper.wait_for_line("a message on /simulated_time/answer is left out")
+
+    def lead_s() -> float:
+        """Return by how much a second of the clock is shorter than one of the machine."""
+        begun_s, begun_ns = time.monotonic(), steps.clock_ns[-1]
+        steps.wait_for_time(1e-9 * begun_ns + 1.0)
+        spent_s = time.monotonic() - begun_s
+        return 1e-9 * (steps.clock_ns[-1] - begun_ns) - spent_s
+
+    # It may make up for a tenth of a second, and what it says may be heard late now and then.
+    measured_until(lead_s, below=0.15)
     refused = steps.trigger("step")
     assert not refused.success
     assert "pause it first" in refused.message
+    steps.wait(lambda: steps.ticks, "a tick")
     reset = steps.trigger("reset")
     assert reset.success
     assert reset.message.startswith("reset worker; time goes on from ")
@@ -138,39 +155,13 @@ def test_pause_step_and_reset(steps: Session) -> None:
     assert stepper.interrupt() == 0
 
 
-def test_real_time_is_not_left_behind(steps: Session) -> None:
-    steps.start(WORKER, **STEPPED)
-    stepper = steps.step(speed=1.0, period_s=0.02)
-    stepper.wait_for_line("simulated time begins")
-    steps.wait_for_time(1.1)
-
-    def lead_s() -> float:
-        """Return by how much a second of the clock is shorter than one of the machine."""
-        begun_s, begun_ns = time.monotonic(), steps.clock_ns[-1]
-        steps.wait_for_time(1e-9 * begun_ns + 1.0)
-        spent_s = time.monotonic() - begun_s
-        return 1e-9 * (steps.clock_ns[-1] - begun_ns) - spent_s
-
-    # It may make up for a tenth of a second, and what it says may be heard late now and then.
-    measured_until(lead_s, below=0.15)
-    assert stepper.interrupt() == 0
-
-
-def test_what_is_no_message_of_the_protocol_is_left_out(steps: Session) -> None:
-    steps.start(WORKER, **STEPPED)
-    stepper = steps.begin(speed=1.0)
-    for topic in ("answer", "step"):
-        publisher = steps.node.create_publisher(String, f"/simulated_time/{topic}", 1)
-        steps.wait(publisher.get_subscription_count, "a reader")
-        publisher.publish(String(data="[" * 5000))
-    stepper.wait_for_line("a message on /simulated_time/answer is left out")
-    steps.wait_for_time(1e-9 * steps.clock_ns[-1] + 0.2)
-    assert stepper.interrupt() == 0
+def _new_starts(steps: Session) -> IntArray:
+    """Return where the worker's count of its ticks began again."""
+    return np.flatnonzero(np.diff([count for _, count, _, _ in list(steps.ticks)]) < 0)
 
 
 def test_it_stops_while_it_waits(steps: Session) -> None:
     stepper = steps.step()
-    stepper.wait_for_line("ready:")
     steps.wait_for_hindrance("worker is not there; start it")
     assert steps.wait_for_state("waiting").level > 0
     # The step waits for the participants, and is given up with them.
@@ -181,115 +172,96 @@ def test_it_stops_while_it_waits(steps: Session) -> None:
 @pytest.mark.fault(AREA, "a node that time waits for is not there")
 def test_a_participant_never_comes(steps: Session, answered: Callable[..., None]) -> None:
     stepper = steps.step(patience_s=1.0)
-    line = steps.reason(stepper)
+    assert stepper.exit_status() == 1, stepper.log
+    line = steps.fatal(stepper)
     assert "does not begin after 1 s: worker is not there; start it" in line
     answered(line)
 
 
 @pytest.mark.fault(AREA, "a node without `stepped` is to answer each step")
 def test_a_participant_never_answers(steps: Session, answered: Callable[..., None]) -> None:
-    node = steps.start(WORKER, **SIMULATED)
-    node.wait_for_line("ready:")
-    stepper = steps.step(patience_s=4.0)
-    line = steps.reason(stepper)
+    steps.start(WORKER, **SIMULATED).wait_for_line("ready:")
+    with steps.stepping(patience_s=4.0) as stepper:
+        line = steps.reason(stepper)
     assert "worker does not answer" in line
     assert "use_sim_time and stepped" in line
     answered(line)
 
 
+@pytest.mark.fault(AREA, "a node that time waits for ends")
+def test_participants_leave(steps: Session, answered: Callable[..., None]) -> None:
+    worker = steps.start(WORKER, **STEPPED)
+    with steps.stepping() as stepper:
+        stepper.advance(0.2)
+        assert worker.interrupt() == 0
+        line = steps.reason(stepper)
+        assert "worker left at " in line
+        answered(without_time(line))
+        worker = steps.start(WORKER, **STEPPED)
+        worker.wait_for_line("ready:")
+        steps.wait(lambda: f"{steps.namespace}/worker" in stepper._there(), "the new worker")
+        line = steps.reason(stepper)
+        assert "has started again" in line
+        answered(without_time(line), what="a node that time waits for is started again")
+    with steps.stepping(patience_s=4.0) as stepper:
+        stepper.advance(0.2)
+        worker.process.send_signal(signal.SIGKILL)
+        line = steps.reason(stepper)
+        assert "worker did not answer for 4 s" in line
+        answered(without_time(line), what="a node that time waits for is killed")
+
+
 @pytest.mark.fault(AREA, "another node publishes `/clock`")
-def test_another_clock_begins_in_the_middle(steps: Session, answered: Callable[..., None]) -> None:
-    steps.start(WORKER, **STEPPED)
-    stepper = steps.step()
-    steps.wait_for_time(1.5)
-    clock = steps.node.create_publisher(Clock, "/clock", 10)
-    line = steps.reason(stepper)
+def test_another_clock_begins_in_the_middle(shared: Session, answered: Callable[..., None]) -> None:
+    with shared.stepping() as stepper:
+        stepper.advance(0.2)
+        clock = shared.node.create_publisher(Clock, "/clock", 10)
+        line = shared.reason(stepper)
     assert "another node publishes /clock" in line
     answered(line)
     # It is no better before the start.
-    steps.step()
-    steps.wait_for_hindrance("another node publishes /clock")
-    steps.node.destroy_publisher(clock)
-
-
-@pytest.mark.fault(AREA, "a node that time waits for ends")
-def test_a_participant_leaves(steps: Session, answered: Callable[..., None]) -> None:
-    worker = steps.start(WORKER, **STEPPED)
-    stepper = steps.step()
-    steps.wait_for_time(1.5)
-    assert worker.interrupt() == 0
-    line = steps.reason(stepper)
-    assert "worker left at " in line
-    answered(without_time(line))
-
-
-@pytest.mark.fault(AREA, "a node that time waits for is killed")
-def test_a_participant_is_killed(steps: Session, answered: Callable[..., None]) -> None:
-    worker = steps.start(WORKER, **STEPPED)
-    worker.wait_for_line("ready:")
-    stepper = steps.step(patience_s=4.0)
-    steps.wait_for_time(1.5)
-    worker.process.send_signal(signal.SIGKILL)
-    line = steps.reason(stepper)
-    assert "worker did not answer for 4 s" in line
-    answered(without_time(line))
-
-
-@pytest.mark.fault(AREA, "a node that time waits for is started again")
-def test_a_participant_starts_anew(steps: Session, answered: Callable[..., None]) -> None:
-    worker = steps.start(WORKER, **STEPPED)
-    stepper = steps.step()
-    steps.wait_for_time(1.5)
-    steps.pause()
-    assert worker.interrupt() == 0
-    again = steps.start(WORKER, **STEPPED)
-    again.wait_for_line("ready:")
-    steps.wait(lambda: steps.trigger("reset").success, "the stepper to know the new one")
-    steps.pause(False)
-    line = steps.reason(stepper)
-    assert "worker left at " in line
-    assert "has started again" in line
-    answered(without_time(line))
+    with shared.stepping() as stepper:
+        shared.hindrance(stepper, "another node publishes /clock")
+    shared.node.destroy_publisher(clock)
 
 
 @pytest.mark.fault(AREA, "a node of yours has no `use_sim_time`")
-def test_a_node_goes_by_another_clock(steps: Session, answered: Callable[..., None]) -> None:
-    steps.start(WORKER, **STEPPED)
-    steps.start(CONTROLLER)
-    stepper = steps.step(WORKER_ENTRY + CONTROLLER_ENTRY)
-    line = steps.reason(stepper)
+def test_a_node_goes_by_another_clock(shared: Session, answered: Callable[..., None]) -> None:
+    controller = shared.start(CONTROLLER)
+    with shared.stepping(WORKER_ENTRY + CONTROLLER_ENTRY) as stepper:
+        line = shared.reason(stepper)
+    controller.end()
     assert "set use_sim_time on that node" in line
     assert "/beats of controller is stamped" in line
     answered(re.sub("[0-9]{9,}", "1700000000", line))
 
 
 @pytest.mark.fault(AREA, "a node of yours stops to publish")
-def test_a_node_falls_silent(steps: Session, answered: Callable[..., None]) -> None:
-    steps.start(WORKER, **STEPPED)
-    steps.start(CONTROLLER, silent_after=20, **SIMULATED).wait_for_line("ready:")
-    stepper = steps.step(WORKER_ENTRY + f"  controller:\n{REPLYING}", patience_s=5.0)
-    line = steps.reason(stepper)
+def test_a_controller_that_time_cannot_wait_for(
+    shared: Session, answered: Callable[..., None]
+) -> None:
+    controller = shared.start(CONTROLLER, silent_after=20, **SIMULATED)
+    controller.wait_for_line("ready:")
+    wrong = {
+        "a node of yours is to answer what nobody publishes": (
+            "replies: {for_each: images}",
+            "of /images, which no participant publishes",
+        ),
+        "an unstamped topic is to come every so often": (
+            "replies: {every_s: 0.05}",
+            "std_msgs/msg/Empty, which has no stamp: every_s needs one",
+        ),
+    }
+    for what, (publication, reason) in wrong.items():
+        entry = f"  controller:\n    publishes:\n      {publication}\n"
+        with shared.stepping(WORKER_ENTRY + entry) as stepper:
+            answered(shared.hindrance(stepper, reason), what=what)
+    entry = f"  controller:\n{REPLYING}"
+    with shared.stepping(WORKER_ENTRY + entry, patience_s=5.0) as stepper:
+        line = shared.reason(stepper)
+    controller.end()
     assert "controller published nothing on /replies for 5 s" in line
     answered(without_time(line))
-
-
-@pytest.mark.fault(AREA, "a node of yours is to answer what nobody publishes")
-def test_nobody_publishes_what_is_to_be_answered(
-    steps: Session, answered: Callable[..., None]
-) -> None:
-    steps.start(WORKER, **STEPPED)
-    steps.start(CONTROLLER, **SIMULATED)
-    entry = "  controller:\n    publishes:\n      replies: {for_each: images}\n"
-    steps.step(WORKER_ENTRY + entry)
-    answered(steps.wait_for_hindrance("of /images, which no participant publishes"))
-
-
-@pytest.mark.fault(AREA, "an unstamped topic is to come every so often")
-def test_an_unstamped_topic_has_no_time(steps: Session, answered: Callable[..., None]) -> None:
-    steps.start(CONTROLLER, **SIMULATED)
-    entry = "  controller:\n    publishes:\n      replies: {every_s: 0.05}\n"
-    steps.step(entry)
-    answered(steps.wait_for_hindrance("std_msgs/msg/Empty, which has no stamp: every_s needs one"))
 
 
 REFUSED = {

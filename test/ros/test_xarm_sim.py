@@ -24,14 +24,13 @@ MODULE = "dotsim_ros.nodes.xarm_sim.node"
 START_M = np.array([0.35, 0.0, 0.3])
 INDENTER = Pose(np.array([0.35, 0.0, 0.28]), np.array([1.0, 0.0, 0.0, 0.0]))
 PERIOD_S = 0.01
-LIMITS = {"speed_limit_m_s": 0.2, "acceleration_limit_m_s2": 4.0}
 Session = tuple[Executable, ArmClient]
 
 
 @pytest.fixture(scope="module")
 def session() -> Iterator[Session]:
     with (
-        running(MODULE, parameters={"diagnostics_period_s": 0.1, **LIMITS}) as executable,
+        running(MODULE, parameters={"diagnostics_period_s": 0.1}) as executable,
         arm_client("xarm_sim") as client,
     ):
         client.meet()
@@ -76,18 +75,12 @@ def test_no_socket_is_open_to_other_machines(session: Session) -> None:
     assert found == {"127.0.0.1"}
 
 
-def test_sigint_ends_it_with_status_0() -> None:
-    with running(MODULE) as node:
-        assert node.interrupt(2) == 0, node.log
-        assert "Traceback" not in node.log
-
-
 def test_poses_carry_the_times_of_their_states_100_a_second(client: ArmClient) -> None:
     since_s = time.monotonic()
-    time.sleep(3.0)
+    time.sleep(1.5)
     stamps, places = client.positions(since_s)
     np.testing.assert_allclose(places, np.tile(START_M, (len(places), 1)), atol=1e-6)
-    assert len(stamps) > 100
+    assert len(stamps) > 50
     # Every stamp falls on the arm's grid, whenever its tick came.
     away = np.abs(stamps / 0.005 - np.round(stamps / 0.005)) * 0.005
     assert np.percentile(away, 95) < 5e-4
@@ -119,13 +112,6 @@ def test_joints_pose_and_indenter_agree(client: ArmClient) -> None:
     )
 
 
-def test_at_the_start_the_indenter_is_before_the_dome(client: ArmClient) -> None:
-    seen = client.newest("indenter/pose", time.monotonic())
-    place, quaternion = msg_adapters.decode_pose_stamped(seen)
-    np.testing.assert_allclose(place, [0.0, 0.0, 0.02], atol=1e-6)
-    assert abs(quaternion[3]) == pytest.approx(1.0)
-
-
 def test_velocities_along_base_and_tool_move_as_their_frame_says(client: ArmClient) -> None:
     # The tool points down: its +z is the base's -z, its +y the base's -y, and +x is +x.
     for frame_id, signs in (("link_base", (1, 1, 1)), ("link_tcp", (1, -1, -1))):
@@ -137,30 +123,6 @@ def test_velocities_along_base_and_tool_move_as_their_frame_says(client: ArmClie
         direction = np.array([0.02, 0.03, 0.05]) * signs
         expected = direction * np.linalg.norm(moved) / np.linalg.norm(direction)
         np.testing.assert_allclose(moved, expected, atol=2e-4)
-
-
-def test_no_limit_is_exceeded_on_the_recorded_motion(client: ArmClient) -> None:
-    random = np.random.default_rng(4)
-    since_s = time.monotonic()
-    client.lead(4.0, lambda t: (random.normal(size=3), 0.5 * random.normal(size=3)), rate_hz=25.0)
-    stamps, places = client.positions(since_s)
-    velocity, steps = velocities(stamps, places)
-    assert np.linalg.norm(velocity, axis=1).max() <= 0.2 * 1.001
-    assert np.linalg.norm(velocity, axis=1).max() > 0.15
-    middle_s = 0.5 * (steps[1:] + steps[:-1])
-    acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / middle_s
-    # Over a gap the machine was busy, and the difference of two clocks, so a stamp, may be off.
-    is_regular = np.maximum(steps[1:], steps[:-1]) < 2.0 * PERIOD_S
-    assert np.count_nonzero(is_regular) > 100
-    assert acceleration[is_regular].max() <= 4.0 * 1.02
-    with client._changed:
-        joints = [message for arrival_s, message in client.heard["joint_states"]]
-    rates = np.array([msg_adapters.decode_joint_state(m, JOINT_NAMES)[1] for m in joints])
-    assert np.abs(rates).max() <= 4.0 + 1e-9
-    with client._changed:
-        twists = [message for arrival_s, message in client.heard["ee_twist"]]
-    speeds = [np.linalg.norm(msg_adapters.decode_twist_stamped(m)[0]) for m in twists]
-    assert max(speeds) <= 0.2 * (1.0 + 1e-9)
 
 
 def test_silence_stops_the_arm_after_a_fifth_of_a_second(client: ArmClient) -> None:
@@ -202,14 +164,13 @@ def test_a_velocity_of_an_unknown_frame_is_refused_and_not_said_each_time(sessio
     assert lines <= 2 + (time.monotonic() - begin_s) / 5.0
 
 
-@pytest.mark.parametrize("number", [float("nan"), float("inf")])
-def test_a_velocity_that_is_no_number_stops_the_arm(client: ArmClient, number: float) -> None:
+def test_a_velocity_that_is_no_number_stops_the_arm(client: ArmClient) -> None:
     def way_m() -> float:
         client.trigger("reset")
         settled(client)
         client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
         sent_ns = client.now_ns()
-        sent_s = client.send((0.0, number, 0.0))
+        sent_s = client.send((0.0, float("nan"), 0.0))
         settled(client)
         _, places = client.positions(sent_s, sent_after_ns=sent_ns)
         assert np.isfinite(places).all()
@@ -219,68 +180,28 @@ def test_a_velocity_that_is_no_number_stops_the_arm(client: ArmClient, number: f
     measured_until(way_m, below=0.012)
 
 
-def test_the_emergency_stop_holds_until_reset(client: ArmClient) -> None:
-    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+def test_stops_hold_until_they_are_taken_back(client: ArmClient) -> None:
+    def lead_up() -> None:
+        client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+
+    def stands(text: str, level: msg_adapters.Level) -> None:
+        stopped_ns = client.now_ns()
+        lead_up()
+        _, places = client.positions(sent_after_ns=stopped_ns + 60_000_000)
+        assert np.ptp(places, axis=0).max() < 1e-7
+        assert client.state("arm", lambda status: text in status.message).level == level
+
+    lead_up()
+    assert client.set_parameters(fail_stop=True).successful
+    stands("failing on request", msg_adapters.Level.WARN)
+    assert client.set_parameters(fail_stop=False).successful
+    lead_up()
     assert client.trigger("emergency_stop").success
-    stopped_ns = client.now_ns()
-    client.lead(0.5, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
-    _, places = client.positions(sent_after_ns=stopped_ns + 60_000_000)
-    assert np.ptp(places, axis=0).max() < 1e-7
-    status = client.state("arm", lambda status: "emergency stop" in status.message)
-    assert status.level == msg_adapters.Level.ERROR
+    stands("emergency stop", msg_adapters.Level.ERROR)
     assert client.trigger("reset").success
     np.testing.assert_allclose(settled(client), START_M, atol=1e-6)
-    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    lead_up()
     assert settled(client)[2] > START_M[2] + 0.03
-
-
-def test_feedback_can_be_dropped_while_the_sensor_moves_on(client: ArmClient) -> None:
-    assert client.set_parameters(fail_drop_feedback=True).successful
-    time.sleep(0.3)
-    counts = {topic: client.count(topic) for topic in client.heard}
-    before = client.newest("indenter/pose", time.monotonic())
-    client.lead(0.3, lambda t: ((0.0, 0.0, 0.05), (0.0, 0.0, 0.0)))
-    for topic in ("ee_pose", "ee_twist", "joint_states"):
-        assert client.count(topic) == counts[topic]
-    after = client.newest("indenter/pose", time.monotonic())
-    assert after.pose.position.z > before.pose.position.z + 0.005
-    status = client.state("arm", lambda status: status.values["fail_drop_feedback"] == "true")
-    assert status.level == msg_adapters.Level.WARN
-    assert client.set_parameters(fail_drop_feedback=False).successful
-    assert client.position_m()[2] > START_M[2] + 0.005
-
-
-def test_a_delay_holds_feedback_back_and_leaves_its_stamps(client: ArmClient) -> None:
-    assert client.set_parameters(fail_delay_s=0.3).successful
-    time.sleep(0.6)
-    newest = client.newest("ee_pose", time.monotonic())
-    now_ns = client.node.get_clock().now().nanoseconds
-    assert 1e-9 * (now_ns - msg_adapters.message_stamp_ns(newest)) > 0.29
-    sent_ns = client.now_ns()
-    sent_s = client.send((0.0, 0.0, 0.1))
-
-    def places() -> Any:
-        return client.positions(sent_s, sent_after_ns=sent_ns)
-
-    client.wait(lambda: len(places()[1]) and places()[1][-1][2] > START_M[2] + 0.01, "10 mm")
-    # It acts after 0.3 s.
-    _, before = client.positions(
-        sent_s, sent_after_ns=sent_ns, sent_before_ns=sent_ns + 250_000_000
-    )
-    assert np.ptp(before, axis=0).max() < 1e-9
-
-
-def test_a_failed_drive_stops_the_arm_and_lets_it_go_again(client: ArmClient) -> None:
-    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
-    assert client.set_parameters(fail_stop=True).successful
-    stopped_ns = client.now_ns()
-    client.lead(0.4, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
-    _, places = client.positions(sent_after_ns=stopped_ns + 60_000_000)
-    assert np.ptp(places, axis=0).max() < 1e-7
-    assert client.set_parameters(fail_stop=False).successful
-    before = client.position_m()
-    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
-    assert client.position_m()[2] > before[2] + 0.01
 
 
 def test_a_process_that_was_held_up_makes_no_jump(session: Session) -> None:
@@ -307,23 +228,17 @@ def test_a_process_that_was_held_up_makes_no_jump(session: Session) -> None:
     measured_until(beyond_m, below=0.1 * (0.2 + 0.05))
 
 
-@pytest.mark.parametrize(
-    ("values", "reason"),
-    [
+def test_the_indenter_can_be_placed_again_and_kept_silent(client: ArmClient) -> None:
+    for values, reason in (
         ({"fail_delay_s": 3.0}, "fail_delay_s"),
         ({"indenter_pose": [0.0, 0.0, 0.0]}, "expected 7 numbers"),
         ({"start_pose": [0.4, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]}, "read-only"),
-    ],
-)
-def test_a_bad_parameter_is_refused_with_the_reason(
-    client: ArmClient, values: dict[str, Any], reason: str
-) -> None:
-    result = client.set_parameters(**values)
-    assert not result.successful
-    assert reason in result.reason
-
-
-def test_the_indenter_can_be_placed_anew_and_kept_silent(client: ArmClient) -> None:
+    ):
+        result = client.set_parameters(**values)
+        assert not result.successful
+        assert reason in result.reason
+    before = client.newest("indenter/pose", time.monotonic()).pose.position.z
+    assert before == pytest.approx(0.02, abs=1e-6)
     assert client.set_parameters(indenter_pose=[0.35, 0.0, 0.27, 1.0, 0.0, 0.0, 0.0]).successful
     placed = pytest.approx(0.03, abs=1e-6)
     client.wait(
@@ -338,3 +253,9 @@ def test_the_indenter_can_be_placed_anew_and_kept_silent(client: ArmClient) -> N
     assert client.set_parameters(
         publish_indenter=True, indenter_pose=[0.35, 0.0, 0.28, 1.0, 0.0, 0.0, 0.0]
     ).successful
+
+
+def test_two_sigints_end_it_with_status_0(session: Session) -> None:
+    # The last of this file.
+    assert session[0].interrupt(2) == 0, session[0].log
+    assert "Traceback" not in session[0].log

@@ -22,10 +22,12 @@ START_POSE = Pose(np.array([0.35, 0.0, 0.3]), DOWN)
 QUIET = ArmResponse(jitter_s=0.0)
 
 
+START_JOINTS_RAD = ArmKinematics().joints_at(START_POSE)
+
+
 def new_arm(*, limits=None, response=QUIET, seed=0):
     kinematics = ArmKinematics()
-    joints = kinematics.joints_at(START_POSE)
-    kinematics.posture_rad = joints
+    joints = kinematics.posture_rad = START_JOINTS_RAD
     return SimulatedArm(
         kinematics,
         joints,
@@ -58,12 +60,6 @@ def positions(states):
 
 def speeds(states):
     return np.linalg.norm(np.diff(positions(states), axis=0), axis=1) / STEP_S
-
-
-def test_the_arm_stands_until_it_is_told_to_move():
-    states = record(new_arm(), 0.5)
-    assert (positions(states) == states[0].pose.position_m).all()
-    assert states[-1].time_s == pytest.approx(START_S + 0.5)
 
 
 def test_a_velocity_is_followed_after_latency_and_lag():
@@ -136,8 +132,7 @@ def accelerations(states):
     return np.linalg.norm(np.diff(velocity, axis=0), axis=1) / STEP_S
 
 
-@pytest.mark.parametrize("turn_rad_s", [0.0, 0.5])
-@pytest.mark.parametrize("asked_m_s", [0.5, 30.0])
+@pytest.mark.parametrize(("asked_m_s", "turn_rad_s"), [(0.5, 0.5), (30.0, 0.0)])
 def test_speed_and_acceleration_keep_their_limits_on_the_recorded_motion(asked_m_s, turn_rad_s):
     limits = ArmLimits(linear_m_s=0.25, angular_rad_s=0.5, linear_m_s2=2.0, angular_rad_s2=4.0)
     arm = new_arm(limits=limits)
@@ -148,7 +143,7 @@ def test_speed_and_acceleration_keep_their_limits_on_the_recorded_motion(asked_m
             asked_m_s * generator.normal(size=3), turn_rad_s * generator.normal(size=3)
         )
 
-    states = record(arm, 3.0, wild, period_s=0.04)
+    states = record(arm, 1.5, wild, period_s=0.04)
     assert speeds(states).max() <= 0.25 * (1.0 + 1e-3)
     assert accelerations(states).max() <= 2.0 * 1.01
     assert accelerations(states).max() > 1.5
@@ -158,12 +153,11 @@ def test_speed_and_acceleration_keep_their_limits_on_the_recorded_motion(asked_m
     assert turned.max() <= 4.0 * 1.01
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_speeds_hold_where_joints_and_singularities_hinder(seed):
+def test_speeds_hold_where_joints_and_singularities_hinder():
     # Wild turns and a drift outwards: joints at their limits and the arm stretched.
     limits = ArmLimits(linear_m_s=0.25, angular_rad_s=1.0, linear_m_s2=2.0, angular_rad_s2=5.0)
     arm = new_arm(limits=limits)
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     ways = np.repeat(generator.normal(size=(10, 6)), 100, axis=0)
     ways[:, 0] += 1.0
     states = record(arm, 9.9, lambda t: ways[int(100 * t)])
@@ -174,15 +168,6 @@ def test_speeds_hold_where_joints_and_singularities_hinder(seed):
     assert any(state.motion.at_limit or state.motion.smallest_m < 0.04 for state in states)
     # Only there does the arm brake harder than it may, and hardly ever.
     assert (accelerations(states) > 2.0 * 1.02).mean() < 0.03
-
-
-def test_the_default_limits_are_those_of_the_real_arm():
-    arm = new_arm()
-    states = record(arm, 0.15, lambda _: along(x=5.0))
-    assert speeds(states).max() <= 1.0 + 1e-3
-    assert speeds(states).max() > 0.9
-    rates = np.array([state.motion.rates_rad_s for state in states])
-    assert np.abs(rates).max() <= 4.0 + 1e-9
 
 
 def test_at_full_stretch_the_arm_slows_down_and_keeps_every_limit():
@@ -221,29 +206,35 @@ def test_a_command_that_is_not_repeated_is_stale_after_a_fifth_of_a_second():
     assert states[-1].twist.any() == np.False_
 
 
-def test_an_emergency_stop_brakes_without_lag_and_holds_until_reset():
+@pytest.mark.parametrize("is_emergency", [True, False])
+def test_a_stop_brakes_without_lag_and_holds_until_it_is_taken_back(is_emergency):
     arm = new_arm(limits=ArmLimits(linear_m_s2=5.0))
-    states = record(arm, 0.5, lambda _: along(x=0.2))
-    stop_s = states[-1].time_s
-    arm.emergency_stop(stop_s)
+    stop_s = record(arm, 0.5, lambda _: along(x=0.2))[-1].time_s
+    if is_emergency:
+        arm.emergency_stop(stop_s)
+    else:
+        arm.fail(ArmFaults(is_stopped=True), stop_s)
     after = record(arm, 0.5, lambda _: along(x=0.2), begin_s=stop_s)
     times = np.array([state.time_s for state in after[1:]]) - stop_s
     # 0.2 m/s at 5 m/s^2: 40 ms, and one step of the grid.
     assert (speeds(after)[times > 0.04 + 2 * STEP_S] == 0.0).all()
-    assert arm.is_emergency
-    arm.reset(after[-1].time_s)
-    np.testing.assert_allclose(arm.state.pose.position_m, START_POSE.position_m, atol=1e-5)
+    assert arm.is_emergency == is_emergency
+    assert arm.feedback(after[-1].time_s) is not None
+    if is_emergency:
+        arm.reset(after[-1].time_s)
+        np.testing.assert_allclose(arm.state.pose.position_m, START_POSE.position_m, atol=1e-5)
+    else:
+        arm.fail(ArmFaults(), after[-1].time_s)
     again = record(arm, 0.3, lambda _: along(x=0.2), begin_s=after[-1].time_s)
-    assert speeds(again)[-1] == pytest.approx(0.2, rel=1e-3)
+    assert speeds(again)[-1] == pytest.approx(0.2, rel=1e-2)
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_a_velocity_that_is_no_number_stops_the_arm(number):
+def test_a_velocity_that_is_no_number_stops_the_arm():
     arm = new_arm()
     states = record(arm, 0.3, lambda _: along(x=0.1))
     now_s = states[-1].time_s
     with pytest.raises(ValueError, match="not finite"):
-        arm.command(along(x=number), now_s, along_tool=False)
+        arm.command(along(x=np.nan), now_s, along_tool=False)
     after = record(arm, 0.15, begin_s=now_s)
     assert speeds(after)[-1] < 1e-3
     assert np.isfinite(positions(after)).all()
@@ -273,22 +264,3 @@ def test_a_delay_holds_commands_and_feedback_back():
     # 150 ms until it acts, 10 ms of latency, 150 ms until it is heard of.
     assert (x[:30] == x[0]).all()
     assert x[36] > x[0]
-
-
-def test_a_stopped_arm_brakes_stays_and_goes_on_afterwards():
-    arm = new_arm()
-    states = record(arm, 0.3, lambda _: along(x=0.1))
-    now_s = states[-1].time_s
-    arm.fail(ArmFaults(is_stopped=True), now_s)
-    after = record(arm, 0.2, lambda _: along(x=0.1), begin_s=now_s)
-    assert (speeds(after)[3:] == 0.0).all()
-    assert arm.feedback(after[-1].time_s) is not None
-    arm.fail(ArmFaults(), after[-1].time_s)
-    again = record(arm, 0.2, lambda _: along(x=0.1), begin_s=after[-1].time_s)
-    assert speeds(again)[-1] == pytest.approx(0.1, rel=1e-2)
-
-
-@pytest.mark.parametrize("delay_s", [-0.1, 5.0, np.nan])
-def test_a_delay_that_cannot_be_is_refused(delay_s):
-    with pytest.raises(ValueError, match="expected 0 to 2 s"):
-        ArmFaults(delay_s=delay_s)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from dotsim_ros.control.arm import kinematics
 from dotsim_ros.control.arm.kinematics import (
     COMFORTABLE_JOINTS_RAD,
-    JOINT_NAMES,
     XARM7,
     ArmKinematics,
 )
@@ -52,11 +52,7 @@ def test_at_zero_joints_the_flange_is_where_the_manual_says(arm):
     np.testing.assert_allclose(pose.rotation(), np.diag([1.0, -1.0, -1.0]), atol=1e-9)
 
 
-def test_joints_are_named_as_the_driver_does():
-    assert list(JOINT_NAMES) == [f"joint{index}" for index in range(1, 8)]
-
-
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_pinocchio_gives_the_product_of_the_joints(arm, seed):
     joints = random_joints(seed)
     expected = chain(joints)
@@ -65,7 +61,7 @@ def test_pinocchio_gives_the_product_of_the_joints(arm, seed):
     np.testing.assert_allclose(pose.rotation(), expected[:3, :3], atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_jacobian_is_the_derivative(arm, seed):
     joints, step = random_joints(seed), 1e-6
     jacobian = arm.jacobian(joints)
@@ -81,7 +77,7 @@ def test_the_jacobian_is_the_derivative(arm, seed):
         np.testing.assert_allclose(jacobian[:, index], expected, atol=1e-7)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_inverse_kinematics_comes_back_to_a_pose(arm, seed):
     wanted = arm.pose(0.6 * random_joints(seed))
     found = arm.joints_at(wanted)
@@ -92,7 +88,8 @@ def test_inverse_kinematics_comes_back_to_a_pose(arm, seed):
     np.testing.assert_allclose(reached.rotation(), wanted.rotation(), atol=2e-6)
 
 
-def test_what_cannot_be_reached_is_refused_and_says_how_close_it_came(arm):
+def test_what_cannot_be_reached_is_refused_and_says_how_close_it_came(arm, monkeypatch):
+    monkeypatch.setattr(kinematics, "START_COUNT", 3)
     with pytest.raises(ValueError, match=r"does not reach the pose \[1.2, 0.0, 0.3\].* mm"):
         arm.joints_at(Pose(np.array([1.2, 0.0, 0.3]), DOWN))
 

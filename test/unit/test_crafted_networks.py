@@ -20,8 +20,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from dotsim_ros.control.policy.card import USUAL_MEAN, USUAL_ROOT
-from dotsim_ros.control.policy.network import load_policy
+from dotsim_ros.control.policy.network import USUAL_MEAN, USUAL_ROOT, load_policy
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.tactile_policy.files import read_image

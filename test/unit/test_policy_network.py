@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.control.policy.card import FORMAT, POLICY, PolicyCard
 from dotsim_ros.control.policy.images import CHANNEL_COUNT, PolicyInput
-from dotsim_ros.control.policy.network import load_policy, save_policy
+from dotsim_ros.control.policy.network import FORMAT, POLICY, PolicyCard, load_policy
 from dotsim_ros.control.policy.paths import PATHS as PATH_NAMES
+from dotsim_ros.control.policy.resnet import save_policy
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics.idle import read_idle_frame
@@ -91,14 +91,6 @@ def test_a_loaded_policy_answers_as_the_network(written):
         np.testing.assert_allclose(command, expected[row], atol=0.02 * scale)
 
 
-def test_what_a_policy_says_of_itself(written):
-    policy = load_policy(written[1])
-    assert (policy.name, policy.path, policy.paths) == ("drawn", "line", PATHS)
-    assert policy.image_shape == (480, 640)
-    assert policy.rate_hz == 25.0
-    assert policy.largest_distance == 3.0
-
-
 def test_weights_are_stored_once_in_half_precision(written):
     folder = written[1]
     weight_count = sum(parameter.numel() for parameter in written[0].parameters())
@@ -144,12 +136,9 @@ def test_wrong_images_are_refused(written, image, idle, message):
         policy.image_distance(image, idle)
 
 
-def test_an_unknown_path_is_refused(written):
+def test_broken_files_are_refused(written, tmp_path):
     with pytest.raises(ValueError, match="line, press"):
         load_policy(written[1], "spiral")
-
-
-def test_broken_files_are_refused(written, tmp_path):
     with pytest.raises(FileNotFoundError, match="train-policy"):
         load_policy(tmp_path)
     folder = tmp_path / "broken"
@@ -180,20 +169,14 @@ def test_another_version_is_refused(written, tmp_path):
         card_from("null", tmp_path, POLICY)
 
 
-def test_weights_too_large_for_half_precision_are_refused(tmp_path):
-    from dotsim_ros.control.policy.resnet import without_normalisation
+def test_weights_too_large_for_half_precision_are_refused():
+    onnx = pytest.importorskip("onnx")
+    from dotsim_ros.control.policy.resnet import halve_weights
 
-    network = drawn_network()
-    with torch.no_grad():
-        network.commands.weight[0, 0] = 1e6
+    weights = onnx.numpy_helper.from_array(np.full(100, 1e6, dtype=np.float32), "weights")
+    model = onnx.helper.make_model(onnx.helper.make_graph([], "graph", [], [], [weights]))
     with pytest.raises(ValueError, match="half precision"):
-        save_policy(
-            tmp_path / "large",
-            without_normalisation(network),
-            DRAWN,
-            usual_mean=np.zeros(96, dtype=np.float32),
-            usual_root=np.eye(96, dtype=np.float32),
-        )
+        halve_weights(model)
 
 
 def test_running_a_policy_loads_no_torch(written):

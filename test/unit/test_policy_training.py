@@ -14,13 +14,13 @@ import pytest
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.control.policy.demonstration import (
+    CARD,
     Episode,
     episode_file,
     labels,
     read_episode,
     write_episode,
 )
-from dotsim_ros.control.policy.demonstration_card import CARD
 from dotsim_ros.control.policy.examples import (
     LEAST_WEIGHT,
     PolicyExamples,
@@ -29,9 +29,8 @@ from dotsim_ros.control.policy.examples import (
     frames_of,
     read_split,
 )
-from dotsim_ros.control.policy.expert import Expert
 from dotsim_ros.control.policy.network import load_policy
-from dotsim_ros.control.policy.paths import DomeContact, reference_path
+from dotsim_ros.control.policy.paths import DomeContact, Expert, reference_path
 from dotsim_ros.io.documents import read_json
 from dotsim_ros.io.files import write_json
 
@@ -92,7 +91,7 @@ def with_card(demonstrations, folder, **changed):
     return folder
 
 
-def trained(folders, out, example_count=16, progress=print):
+def trained(folders, out, example_count=4, progress=print):
     """Return the report of a short training."""
     from dotsim_ros.control.policy.training import train_policy
 
@@ -127,20 +126,18 @@ def test_whole_episodes_are_held_out(demonstrations):
     assert set(train.idle_of) == {0, 1}
 
 
-def test_folders_of_other_paths_are_refused(demonstrations, tmp_path):
+def test_folders_of_other_paths_or_another_sensor_of_the_same_name_are_refused(
+    demonstrations, tmp_path
+):
     plan = {"paths": ["arc"], "sensor": "densetact2", "indenter": "sphere_4mm"}
     other = with_card(demonstrations, tmp_path / "other", plan=plan)
-    with pytest.raises(ValueError, match="same paths, sensor and indenter"):
-        read_split([demonstrations, other])
+    assert data_hash([demonstrations]) != data_hash([other])
+    same_name = with_card(demonstrations, tmp_path / "sensor", content="of another sensor")
+    for folder in (other, same_name):
+        with pytest.raises(ValueError, match="same paths, sensor and indenter"):
+            read_split([demonstrations, folder])
     with pytest.raises(ValueError, match="dotsim_ros demonstrate"):
         read_split([tmp_path / "nothing"])
-    assert data_hash([demonstrations]) != data_hash([other])
-
-
-def test_folders_of_another_sensor_of_the_same_name_are_refused(demonstrations, tmp_path):
-    other = with_card(demonstrations, tmp_path / "other", content="of another sensor")
-    with pytest.raises(ValueError, match="same paths, sensor and indenter"):
-        read_split([demonstrations, other])
 
 
 def test_the_key_is_of_what_the_episodes_hold(demonstrations, tmp_path):
@@ -182,21 +179,18 @@ def test_the_answers_are_those_of_the_dome_that_was_demonstrated_on(
     assert caught.value.args == (smaller,)
 
 
-@pytest.mark.parametrize("entry", ["contact", "content"])
-def test_demonstrations_of_before_that_do_not_note_their_dome_are_refused(
-    demonstrations, tmp_path, entry
-):
-    folder = with_card(demonstrations, tmp_path / "before", **{entry: None})
-    with pytest.raises(ValueError, match=f"has no {entry}.*another folder"):
-        trained([folder], tmp_path)
-
-
 @pytest.mark.parametrize(
-    "contact", [[], {"dome_radius_m": 0.01}, {"dome_radius_m": 0.01, "ball_radius_m": "4 mm"}]
+    ("changed", "reason"),
+    [
+        ({"contact": None}, "has no contact.*another folder"),
+        ({"content": None}, "has no content.*another folder"),
+        ({"contact": []}, r"contact is .*expected dome_radius_m and ball_radius_m"),
+        ({"contact": {"dome_radius_m": 0.01, "ball_radius_m": "4 mm"}}, r"contact is .*expected"),
+    ],
 )
-def test_a_card_whose_contact_is_none_is_refused(demonstrations, tmp_path, contact):
-    folder = with_card(demonstrations, tmp_path / "broken", contact=contact)
-    with pytest.raises(ValueError, match=r"contact is .*expected dome_radius_m and ball_radius_m"):
+def test_a_card_that_does_not_note_its_dome_is_refused(demonstrations, tmp_path, changed, reason):
+    folder = with_card(demonstrations, tmp_path / "before", **changed)
+    with pytest.raises(ValueError, match=reason):
         trained([folder], tmp_path)
 
 
@@ -241,7 +235,7 @@ def test_a_new_exposure_changes_both_crops_alike():
 def recipe(count: int):
     from dotsim_ros.control.policy.training import PolicyRecipe
 
-    return PolicyRecipe(example_count=count, batch=8, side_px=SIDE)
+    return PolicyRecipe(example_count=count, batch=2, side_px=SIDE)
 
 
 def weights_of(training):
@@ -254,11 +248,11 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
 ):
     from dotsim_ros.control.policy import training as policy_training
 
-    monkeypatch.setattr(policy_training, "ROUND", 16)
+    monkeypatch.setattr(policy_training, "ROUND", 4)
     frames = read_split([demonstrations])[0]
     examples = PolicyExamples(frames, PATHS, CONTACT, SIDE)
 
-    def training(folder, count=32):
+    def training(folder, count=8):
         return policy_training.PolicyTraining(
             examples, 2, recipe(count), seed=3, key="key", checkpoint=tmp_path / folder / "state.pt"
         )
@@ -266,7 +260,7 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
     whole = training("whole")
     reported = []
     whole.run(reported.append)
-    assert [progress.done for progress in reported] == [16, 32]
+    assert [progress.done for progress in reported] == [4, 8]
 
     class BrokenOffError(Exception):
         pass
@@ -277,13 +271,13 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
     with pytest.raises(BrokenOffError):
         training("parts").run(stop)
     second = training("parts")
-    assert second.done == 16
+    assert second.done == 4
     second.run(reported.append)
     for name, value in weights_of(whole).items():
         assert torch.equal(value, weights_of(second)[name]), name
 
     with pytest.raises(ValueError, match="other data"):
-        training("parts", count=64)
+        training("parts", count=16)
     (tmp_path / "parts" / "state.pt").write_bytes(b"nothing")
     caplog.clear()
     assert training("parts").done == 0
@@ -297,8 +291,8 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
 
 def test_training_judges_and_writes_a_policy(demonstrations, tmp_path):
     reported = []
-    report = trained([demonstrations], tmp_path, 80, reported.append)
-    assert reported[-1].done == 80
+    report = trained([demonstrations], tmp_path, 8, reported.append)
+    assert reported[-1].done == 8
     assert set(report["card"]["metrics"]) >= {"place_sideways_m", "place_depth_m"}
     policy = load_policy(tmp_path / "policy", "press")
     assert policy.card.data["train_images"] == 24
@@ -308,14 +302,14 @@ def test_training_judges_and_writes_a_policy(demonstrations, tmp_path):
 
 def test_a_training_that_diverges_is_one_line(demonstrations, tmp_path, capsys):
     out = str(tmp_path / "policy")
-    given = ["--data", str(demonstrations), "--out", out, "--examples", "96", "--size", "32"]
+    given = ["--data", str(demonstrations), "--out", out, "--examples", "64", "--size", "32"]
     assert main(["train-policy", *given, "--learning-rate", "1e30"]) == 1
     said = capsys.readouterr().err.splitlines()
     assert said == [
-        "dotsim_ros train-policy: the training diverged after 96 examples; lower the learning rate"
+        "dotsim_ros train-policy: the training diverged after 64 examples; lower the learning rate"
     ]
 
 
 def test_a_recipe_without_a_batch_is_refused():
     with pytest.raises(ValueError, match="batch"):
-        recipe(4)
+        recipe(1)

@@ -1,84 +1,103 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Parameters of the policy's node, its deadlines and its counters."""
+"""Parameters of the nodes of an arm, the policy's deadlines and counters, joint states."""
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import fields, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from rosbags.typesys import Stores, get_typestore
 
+from dotsim_ros.control.arm.simulated import ArmFaults, ArmLimits, ArmResponse
 from dotsim_ros.control.policy.network import load_policy
 from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import MissCounter, RateMeter, Spread
-from dotsim_ros.nodes.common.parameters import READ_ONLY, known_parameters
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
+from msg_adapters import BagTypes, decode_joint_state, encode_joint_state
+
+NAMES = ("joint1", "joint2", "joint3")
+
+
+BAD: list[tuple[type[Any], dict[str, Any], str]] = [
+    (TactilePolicyParameters, {"command_rate_hz": 50.0}, "expected 25 or 100"),
+    (TactilePolicyParameters, {"command_frame": "world"}, "expected one of link_tcp, link_base"),
+    (TactilePolicyParameters, {"workspace_m": (0.1, 0.1)}, "workspace_m needs 3 numbers"),
+    (TactilePolicyParameters, {"workspace_m": (0.1, 0.1, 0.0)}, "workspace_m"),
+    (TactilePolicyParameters, {"maximum_linear_m_s2": 1.0}, "brakes for"),
+    (TactilePolicyParameters, {"maximum_linear_m_s": float("nan")}, "maximum_linear_m_s"),
+    (XarmSimParameters, {"start_pose": (0.0, 0.0)}, "start_pose needs 7 numbers"),
+    (XarmSimParameters, {"tool_from_sensor": (0.0,) * 7}, "quaternion_xyzw has length 0"),
+    (XarmSimParameters, {"indenter_pose": (np.nan,) + (0.0,) * 6}, "indenter_pose"),
+    (XarmSimParameters, {"tool_frame": "link_base"}, "must differ"),
+    (XarmSimParameters, {"base_frame": ""}, "must not be empty"),
+    (XarmAdapterParameters, {"duration_s": 0.0}, "duration_s"),
+    (XarmAdapterParameters, {"duration_s": 0.02}, "the arm would stop between two calls"),
+    (XarmAdapterParameters, {"tool_frame": "link_base"}, "must differ"),
+    (XarmAdapterParameters, {"service": ""}, "must not be empty"),
+]
+
+
+@pytest.mark.parametrize(("kind", "changes", "reason"), BAD)
+def test_bad_values_and_contradictions_are_refused_with_the_reason(kind, changes, reason):
+    with pytest.raises(ValueError, match=reason):
+        replace(kind(), **changes)
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
+    ("name", "kind"),
     [
-        ({"command_rate_hz": 50.0}, "expected 25 or 100"),
-        ({"command_frame": "world"}, "expected one of link_tcp, link_base"),
-        ({"image_transport": "theora"}, "expected one of raw, compressed"),
-        ({"workspace_m": (0.1, 0.1)}, "workspace_m is .* expected 3 numbers"),
-        ({"workspace_m": (0.1, 0.1, 0.0)}, "workspace_m"),
-        ({"maximum_linear_m_s2": 1.0}, "brakes for"),
-        ({"retreat_m_s": 0.2}, "faster than the arm's"),
-        ({"maximum_linear_m_s": float("nan")}, "maximum_linear_m_s"),
+        ("tactile_policy", TactilePolicyParameters),
+        ("xarm_sim", XarmSimParameters),
+        ("xarm_adapter", XarmAdapterParameters),
     ],
 )
-def test_bad_values_and_contradictions_are_refused_with_the_reason(changes, reason):
-    with pytest.raises(ValueError, match=reason):
-        dataclasses.replace(TactilePolicyParameters(), **changes)
+def test_the_shipped_file_holds_the_defaults(name, kind):
+    content = yaml.safe_load(parameter_path(f"{name}.yaml").read_text())
+    values = content["/**"]["ros__parameters"]
+    plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+    assert kind(**plain) == kind()
+    assert set(plain) == {field.name for field in fields(kind)}
 
 
-def test_the_defaults_are_those_of_the_limits():
+def test_the_defaults_are_those_of_what_they_set():
     ours, theirs = TactilePolicyParameters().limits(), SafetyLimits()
-    for field in dataclasses.fields(SafetyLimits):
+    for field in fields(SafetyLimits):
         np.testing.assert_allclose(getattr(ours, field.name), getattr(theirs, field.name))
+    arm = XarmSimParameters()
+    assert (arm.limits(), arm.response(), arm.faults()) == (ArmLimits(), ArmResponse(), ArmFaults())
 
 
 def test_no_guard_of_an_arm_is_off_by_default():
-    for limits in (TactilePolicyParameters().limits(), XarmAdapterParameters().limits()):
-        for field in dataclasses.fields(limits):
-            value = getattr(limits, field.name)
-            assert np.isfinite(value).all(), field.name
-            assert np.all(np.asarray(value) > 0.0), field.name
+    limits, link = TactilePolicyParameters().limits(), XarmAdapterParameters().limits()
+    guards = [getattr(limits, field.name) for field in fields(limits)]
+    guards += [link.linear_m_s, link.angular_rad_s, link.stale_s, link.silence_s, link.answer_s]
+    for guard in guards:
+        assert np.isfinite(guard).all()
+        assert np.all(np.asarray(guard) > 0.0)
     # The arm's own watchdog; an image's distance has its limit in the policy's card.
     assert XarmAdapterParameters().duration_s > 0.0
     assert load_policy(parameter_path("policies/densetact2_sphere"), "").largest_distance < 100.0
 
 
-def test_every_parameter_says_what_it_is_and_stays():
-    for name, (_, parameter) in known_parameters(TactilePolicyParameters).items():
-        assert parameter.help.endswith("."), name
-        assert parameter.fixed == READ_ONLY, name
-
-
-def test_the_shipped_file_holds_the_defaults():
-    content = yaml.safe_load(parameter_path("tactile_policy.yaml").read_text())
-    values = content["/**"]["ros__parameters"]
-    plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-    assert TactilePolicyParameters(**plain) == TactilePolicyParameters()
-    assert set(plain) == {field.name for field in dataclasses.fields(TactilePolicyParameters)}
-
-
 def test_the_force_is_limited_unless_a_user_says_that_there_is_none():
     assert np.isfinite(TactilePolicyParameters().limits().force_n)
-    without = dataclasses.replace(TactilePolicyParameters(), force_limit_n=0.0).limits()
+    without = replace(TactilePolicyParameters(), force_limit_n=0.0).limits()
     assert np.isinf(without.force_n)
-    limits = dataclasses.replace(TactilePolicyParameters(), force_limit_n=2.0).limits()
+    limits = replace(TactilePolicyParameters(), force_limit_n=2.0).limits()
     assert (limits.force_n, limits.release_n) == (2.0, pytest.approx(1.6))
 
 
-@pytest.mark.parametrize("phase_s", [0.0, 0.007, 0.013, 0.021, 0.03, 0.039])
+@pytest.mark.parametrize("phase_s", [0.0, 0.013, 0.039])
 def test_the_beat_leans_to_where_images_have_just_come_and_keeps_its_rate(phase_s):
     beat = Beat(0.04, ticks=4, start_s=0.0, margin_s=0.005)
     generator = np.random.default_rng(1)
@@ -100,14 +119,11 @@ def test_the_rate_stays_whatever_the_images_do():
     assert 1000 / (beat.cycle_s(1000) - 0.0) == pytest.approx(25.0, abs=0.2)
 
 
-def test_ticks_and_cycles_share_their_deadlines():
+def test_cycles_and_their_ticks():
     beat = Beat(0.04, ticks=4, start_s=3.0, margin_s=0.005)
     assert beat.tick_s(8) == beat.cycle_s(2)
     assert beat.tick_s(9) - beat.tick_s(8) == pytest.approx(0.01)
-
-
-def test_a_loop_that_begins_late_begins_with_the_next_cycle():
-    beat = Beat(0.04, ticks=4, start_s=3.0, margin_s=0.005)
+    # A loop that begins late begins with the next cycle.
     assert [beat.next_cycle(now_s) for now_s in (2.0, 3.0, 3.001, 3.1)] == [0, 0, 1, 3]
 
 
@@ -134,3 +150,28 @@ def test_a_spread_of_nothing_is_nan():
     for value in range(101):
         spread.note(float(value))
     assert spread.percentiles(50.0, 99.0) == [50.0, 99.0]
+
+
+def test_joint_states_come_back_in_any_order():
+    types = BagTypes(get_typestore(Stores.ROS2_JAZZY).types)
+    message = encode_joint_state(
+        NAMES, (0.1, 0.2, 0.3), (1.0, 2.0, 3.0), stamp_ns=5, frame_id="link_base", types=types
+    )
+    positions, velocities = decode_joint_state(message, ("joint3", "joint1"))
+    np.testing.assert_array_equal(positions, [0.3, 0.1])
+    np.testing.assert_array_equal(velocities, [3.0, 1.0])
+    assert len(message.effort) == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"name": ["joint1"], "position": [0.0], "velocity": [0.0]}, "lacks joint2, joint3"),
+        ({"position": [0.0, np.nan, 0.0]}, "joint positions holds"),
+        ({"velocity": []}, "joint velocities needs 3"),
+    ],
+)
+def test_joint_states_that_are_broken_are_refused(changes, reason):
+    whole = {"name": list(NAMES), "position": [0.0] * 3, "velocity": [0.0] * 3}
+    with pytest.raises(ValueError, match=reason):
+        decode_joint_state(SimpleNamespace(**{**whole, **changes}), NAMES)

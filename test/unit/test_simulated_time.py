@@ -18,35 +18,20 @@ from dotsim_ros.nodes.simulated_time.schedule import (
     PeriodicWork,
     SimulatedSchedule,
 )
-from dotsim_ros.nodes.simulated_time.speed_limit import LARGEST_LAG_S, SpeedLimit
+from dotsim_ros.nodes.simulated_time.stepper import LARGEST_LAG_S, SpeedLimit
 
 
-def test_equal_times_keep_the_order_in_which_they_were_asked_for() -> None:
+def test_each_thing_is_done_at_its_own_time_in_the_order_asked_for() -> None:
     schedule, done = SimulatedSchedule(), []
-    for name in "abc":
-        schedule.at(0.02, lambda name=name: done.append(name))
-    schedule.at(0.01, lambda: done.append("first"))
-    schedule.advance(0.02)
-    assert done == ["first", "a", "b", "c"]
-
-
-def test_each_thing_is_done_at_its_own_time() -> None:
-    schedule, seen = SimulatedSchedule(), []
-    for due_s in (0.013, 0.001, 0.007):
-        schedule.at(due_s, lambda: seen.append(schedule.now_s))
+    for name, due_s in (("c", 0.013), ("a", 0.001), ("b", 0.007), ("b again", 0.007)):
+        schedule.at(due_s, lambda name=name: done.append((name, schedule.now_s)))
     schedule.advance(0.01)
-    assert seen == [0.001, 0.007]
+    assert done == [("a", 0.001), ("b", 0.007), ("b again", 0.007)]
     assert schedule.now_s == 0.01
+    # What is asked for late is done at once: time never runs back.
+    schedule.at(0.005, lambda: done.append(("late", schedule.now_s)))
     schedule.advance(0.02)
-    assert seen == [0.001, 0.007, 0.013]
-
-
-def test_what_is_asked_for_late_is_done_at_once_and_time_never_runs_back() -> None:
-    schedule, seen = SimulatedSchedule(), []
-    schedule.advance(0.5)
-    schedule.at(0.1, lambda: seen.append(schedule.now_s))
-    schedule.advance(0.51)
-    assert seen == [0.5]
+    assert done[3:] == [("late", 0.01), ("c", 0.013)]
 
 
 @pytest.mark.parametrize("step_s", [0.01, 0.003, 0.1])
@@ -71,15 +56,6 @@ def test_how_long_it_is_until_something_is_due() -> None:
     assert schedule.until_next_s() == 0.0
 
 
-def test_what_is_computed_across_a_new_start_is_dropped() -> None:
-    schedule, taken = SimulatedSchedule(), []
-    schedule.compute(0.01, lambda: "before", taken.append)
-    schedule.drop_computed()
-    schedule.compute(0.01, lambda: "after", taken.append)
-    schedule.advance(0.02)
-    assert taken == ["after"]
-
-
 def test_a_pace_is_over_when_it_is_ended_and_another_may_begin() -> None:
     schedule, seen = SimulatedSchedule(), []
     pace = FramePace(rate_hz=100.0, start_s=0.0)
@@ -92,17 +68,24 @@ def test_a_pace_is_over_when_it_is_ended_and_another_may_begin() -> None:
     assert seen == ["first", "first", "second", "second"]
 
 
-def test_cleared_it_does_nothing_of_what_was_asked_for_and_goes_on() -> None:
-    schedule, seen, is_done = SimulatedSchedule(), [], threading.Event()
-    schedule.every(0.01, lambda: seen.append("every"))
-    schedule.compute(0.01, lambda: (time.sleep(0.05), is_done.set()), seen.append)
-    schedule.clear()
+def test_what_is_computed_can_be_settled_dropped_and_cleared() -> None:
+    schedule, taken, is_done = SimulatedSchedule(), [], threading.Event()
+    schedule.every(0.01, lambda: taken.append("every"))
+    schedule.compute(0.01, lambda: (time.sleep(0.05), is_done.set()), taken.append)
+    schedule.settle()
     assert is_done.is_set()
-    schedule.at(0.02, lambda: seen.append("later"))
-    schedule.compute(0.02, lambda: "computed", seen.append)
+    assert taken == []
+    schedule.clear()
+    schedule.compute(0.01, lambda: "before", taken.append)
+    schedule.drop_computed()
+    schedule.at(0.02, lambda: taken.append("later"))
+    schedule.compute(0.02, lambda: "computed", taken.append)
     schedule.advance(0.1)
-    assert seen == ["later", "computed"]
+    assert taken == ["later", "computed"]
+    schedule.compute(0.01, lambda: "too late", taken.append)
     schedule.close()
+    schedule.advance(1.0)
+    assert taken == ["later", "computed"]
 
 
 def test_every_comes_first_after_one_period() -> None:
@@ -138,17 +121,6 @@ def test_what_was_computed_in_vain_is_raised_where_it_is_taken() -> None:
     schedule.close()
 
 
-def test_settle_waits_for_what_is_computed_and_takes_nothing() -> None:
-    schedule, taken, is_done = SimulatedSchedule(), [], threading.Event()
-    schedule.compute(0.01, lambda: (time.sleep(0.05), is_done.set()), taken.append)
-    schedule.settle()
-    assert is_done.is_set()
-    assert taken == []
-    schedule.close()
-    schedule.advance(1.0)
-    assert taken == []
-
-
 def test_the_same_seed_draws_the_same_delays() -> None:
     quantiles_s = (0.01, 0.02, 0.08)
     draws = [[Latency(quantiles_s, seed=seed).draw_s() for _ in range(1)] for seed in (1, 1, 2)]
@@ -163,11 +135,7 @@ def test_delays_follow_their_quantiles() -> None:
     assert 0.01 <= drawn.min() < 0.0105
     assert 0.079 < drawn.max() <= 0.08
     assert abs(np.mean(drawn < 0.02) - 0.5) < 0.04
-
-
-def test_one_number_is_the_delay_always() -> None:
-    latency = Latency((0.03,), seed=1)
-    assert {latency.draw_s() for _ in range(5)} == {0.03}
+    assert {Latency((0.03,), seed=1).draw_s() for _ in range(5)} == {0.03}
 
 
 @pytest.mark.parametrize(
@@ -194,8 +162,4 @@ def test_time_runs_no_faster_than_it_may() -> None:
     assert limit.delay_s(0.02, 105.0) == 0.0
     assert limit.delay_s(2.0 * LARGEST_LAG_S, 105.0) == 0.0
     assert limit.delay_s(0.02, 105.0) == pytest.approx(0.01)
-
-
-def test_without_a_limit_nothing_waits() -> None:
-    limit = SpeedLimit(0.0, now_s=0.0)
-    assert limit.delay_s(1000.0, 0.0) == 0.0
+    assert SpeedLimit(0.0, now_s=0.0).delay_s(1000.0, 0.0) == 0.0

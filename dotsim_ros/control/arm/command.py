@@ -9,6 +9,8 @@ angular velocity in rad/s, both along the axes of one frame.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -18,8 +20,6 @@ from dotsim_ros.geometry.pose import Pose
 Twist = NDArray[np.float64]
 
 LINEAR, ANGULAR = slice(0, 3), slice(3, 6)
-
-
 LARGEST_SPEED_M_S, LARGEST_RATE_RAD_S = 10.0, 100.0
 """No arm is commanded beyond: such a number is none of metres and radians a second."""
 LARGEST_REACH_M = 5.0
@@ -61,12 +61,8 @@ def zero_twist() -> Twist:
 
 
 def in_base_axes(twist: Twist, pose: Pose) -> Twist:
-    """Return a command along the tool's axes along those of the base.
-
-    Args:
-        twist: (6,) along the tool's axes.
-        pose: of the tool in the base.
-    """
+    """Return a command along the axes of a tool, whose pose in the base is given, along the
+    base's."""
     return np.asarray((twist.reshape(2, 3) @ pose.rotation().T).reshape(6))
 
 
@@ -76,61 +72,28 @@ def turn_between(pose: Pose, wanted: Pose) -> NDArray[np.float64]:
     return np.asarray((present.inv() * Rotation.from_quat(wanted.quaternion_xyzw)).as_rotvec())
 
 
-def righting_rate(
-    pose: Pose, wanted: Pose, *, gain_per_s: float, limit_rad_s: float
-) -> NDArray[np.float64]:
-    """Return the (3,) angular velocity (rad/s), along the tool's axes, back to an orientation.
+@dataclass(frozen=True)
+class ToolLimits:
+    """The most that the velocity of a tool may be, and may change by in a second."""
 
-    Args:
-        pose: of the tool.
-        wanted: how it should be turned.
-        gain_per_s: rate for each radian of error.
-        limit_rad_s: the fastest.
-    """
-    return _shortened(gain_per_s * turn_between(pose, wanted), limit_rad_s)
+    linear_m_s: float = np.inf
+    angular_rad_s: float = np.inf
+    linear_m_s2: float = np.inf
+    angular_rad_s2: float = np.inf
 
+    def within_speed(self, twist: Twist) -> Twist:
+        """Return a command whose two speeds are at most these; directions stay."""
+        return _both_shortened(twist, self.linear_m_s, self.angular_rad_s)
 
-def within_speed(twist: Twist, *, linear_m_s: float, angular_rad_s: float) -> Twist:
-    """Return a command whose two speeds are at most these; directions stay."""
-    return np.concatenate(
-        [_shortened(twist[LINEAR], linear_m_s), _shortened(twist[ANGULAR], angular_rad_s)]
-    )
+    def approached(self, present: Twist, target: Twist, duration_s: float) -> Twist:
+        """Return what a command may become within a time, on the straight way to the target."""
+        largest = self.linear_m_s2 * duration_s, self.angular_rad_s2 * duration_s
+        return present + _both_shortened(target - present, *largest)
 
-
-def approached(
-    present: Twist,
-    target: Twist,
-    duration_s: float,
-    *,
-    linear_m_s2: float,
-    angular_rad_s2: float,
-) -> Twist:
-    """Return what a command may become within a time, on the straight way to the target.
-
-    Args:
-        present: the command in force.
-        target: where it shall go, along the same axes.
-        duration_s: since the present one was given.
-        linear_m_s2: the most that the linear velocity changes a second.
-        angular_rad_s2: the same of the angular velocity.
-    """
-    step = target - present
-    return present + np.concatenate(
-        [
-            _shortened(step[LINEAR], linear_m_s2 * duration_s),
-            _shortened(step[ANGULAR], angular_rad_s2 * duration_s),
-        ]
-    )
-
-
-def brake_time_s(twist: Twist, *, linear_m_s2: float, angular_rad_s2: float) -> float:
-    """Return how long it takes to come to rest at these decelerations."""
-    return float(
-        max(
-            np.linalg.norm(twist[LINEAR]) / linear_m_s2,
-            np.linalg.norm(twist[ANGULAR]) / angular_rad_s2,
-        )
-    )
+    def brake_time_s(self, twist: Twist) -> float:
+        """Return how long it takes to come to rest."""
+        linear, angular = np.linalg.norm(twist[LINEAR]), np.linalg.norm(twist[ANGULAR])
+        return float(max(linear / self.linear_m_s2, angular / self.angular_rad_s2))
 
 
 RATE_SHARE = 0.5
@@ -145,10 +108,6 @@ class CommandPredictor:
     A command answers an image, and takes effect only once that was exposed, sent and looked at. By
     then the tool has gone on, and on a curved path the command points outwards. The line through
     the newest commands (a first-order hold) makes up for it.
-
-    Args:
-        lead_s: how much later; 0 changes nothing.
-        period_s: between images.
     """
 
     def __init__(self, lead_s: float, period_s: float) -> None:
@@ -156,12 +115,7 @@ class CommandPredictor:
         self._command, self._image_s, self._rate = zero_twist(), -np.inf, zero_twist()
 
     def put(self, command: Twist, image_s: float) -> Twist:
-        """Return what to command; each of its speeds is at most that of the last two commands.
-
-        Args:
-            command: (6,) that answers an image.
-            image_s: when that came.
-        """
+        """Return what to command; each of its speeds is at most that of the last two commands."""
         before, gap_s = self._command, image_s - self._image_s
         self._command, self._image_s = command.copy(), image_s
         # Images are made at an even rate, whenever they arrive.
@@ -172,11 +126,11 @@ class CommandPredictor:
         rate = (command - before) / (periods * self._period_s)
         self._rate = self._rate + RATE_SHARE * (rate - self._rate)
         both = np.stack([command, before])
-        return within_speed(
-            command + self._lead_s * self._rate,
-            linear_m_s=float(np.linalg.norm(both[:, LINEAR], axis=1).max()),
-            angular_rad_s=float(np.linalg.norm(both[:, ANGULAR], axis=1).max()),
+        limits = ToolLimits(
+            float(np.linalg.norm(both[:, LINEAR], axis=1).max()),
+            float(np.linalg.norm(both[:, ANGULAR], axis=1).max()),
         )
+        return limits.within_speed(command + self._lead_s * self._rate)
 
 
 class CommandInterpolator:
@@ -184,9 +138,6 @@ class CommandInterpolator:
 
     The line ends one period after its command has come, so it lags by half a period on average: the
     price of steps a quarter as large at four times the rate.
-
-    Args:
-        period_s: between commands.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -208,6 +159,11 @@ class CommandInterpolator:
         return self._start + share * (self._end - self._start)
 
 
-def _shortened(vector: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
+def shortened(vector: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
+    """Return a vector of at most a length; its direction stays."""
     length = float(np.linalg.norm(vector))
     return vector if length <= longest else vector * (longest / length)
+
+
+def _both_shortened(twist: Twist, linear: float, angular: float) -> Twist:
+    return np.concatenate([shortened(twist[LINEAR], linear), shortened(twist[ANGULAR], angular)])

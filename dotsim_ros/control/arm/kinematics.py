@@ -28,11 +28,9 @@ class Joint:
     """A revolute joint by the modified Denavit-Hartenberg convention (Craig).
 
     Attributes:
-        name: as the driver calls it.
         twist_rad: angle from the axis before to this one, about the common normal.
         length_m: between the two axes, along the common normal.
         offset_m: along this joint's axis.
-        lower_rad, upper_rad: its limits.
     """
 
     name: str
@@ -80,10 +78,9 @@ START_COUNT = 40
 
 @dataclass(frozen=True)
 class JointMotion:
-    """Joint rates that move the tool.
+    """Joint rates (7,) that move the tool.
 
     Attributes:
-        rates_rad_s: (7,).
         slowed: by how much all of them were reduced for the fastest joint, 1 where not.
         at_limit: joints that their limit holds back, by index.
         smallest_m: smallest singular value of the scaled Jacobian; near 0 the arm is singular.
@@ -96,28 +93,20 @@ class JointMotion:
 
 
 class ArmKinematics:
-    """The chain of an arm. Not for several threads at once.
+    """The chain of the arm. Not for several threads at once.
 
-    Args:
-        joints: from the base to the tool.
-        joint_speed_rad_s: the fastest that any joint turns.
+    Attributes:
         posture_rad: (7,) what the elbow goes back to while the tool moves.
     """
 
-    def __init__(
-        self,
-        joints: tuple[Joint, ...] = XARM7,
-        *,
-        joint_speed_rad_s: float = 4.0,
-        posture_rad: FloatArray = COMFORTABLE_JOINTS_RAD,
-    ) -> None:
-        self._model = _model_of(joints)
+    def __init__(self, *, joint_speed_rad_s: float = 4.0) -> None:
+        self._model = _model_of(XARM7)
         self._data = self._model.createData()
-        self._tool = len(joints)
-        self.lower_rad = np.array([joint.lower_rad for joint in joints])
-        self.upper_rad = np.array([joint.upper_rad for joint in joints])
+        self._tool = len(XARM7)
+        self.lower_rad = np.array([joint.lower_rad for joint in XARM7])
+        self.upper_rad = np.array([joint.upper_rad for joint in XARM7])
         self.joint_speed_rad_s = joint_speed_rad_s
-        self.posture_rad = posture_rad
+        self.posture_rad = COMFORTABLE_JOINTS_RAD
 
     def pose(self, joints_rad: FloatArray) -> Pose:
         """Return the tool's pose in the base."""
@@ -148,11 +137,6 @@ class ArmKinematics:
         "Singularity-robust task-priority redundancy resolution for real-time kinematic control of
         robot manipulators", 1997); a joint that its limit holds back is left out and the others
         make up for it; where one would be too fast, all are slowed alike.
-
-        Args:
-            joints_rad: (7,).
-            jacobian: of these joints.
-            twist: (6,) of the tool, along the base's axes.
         """
         slowest = np.minimum((self.lower_rad - joints_rad) / STOPPING_S, 0.0)
         fastest = np.maximum((self.upper_rad - joints_rad) / STOPPING_S, 0.0)
@@ -170,22 +154,16 @@ class ArmKinematics:
         slowed = min(1.0, self.joint_speed_rad_s / max(float(np.abs(rates).max()), 1e-12))
         return JointMotion(rates * slowed, slowed, tuple(np.flatnonzero(~free)), smallest_m)
 
-    def joints_at(
-        self, pose: Pose, *, near_rad: FloatArray | None = None, seed: int = 0
-    ) -> FloatArray:
-        """Return (7,) joints that put the tool at a pose.
-
-        Args:
-            pose: of the tool in the base.
-            near_rad: where to look first; the posture by default.
-            seed: of the further starts.
+    def joints_at(self, pose: Pose) -> FloatArray:
+        """Return (7,) joints that put the tool at a pose in the base, looked for from the posture
+        first.
 
         Raises:
             ValueError: no start led there; says how close the best one came.
         """
-        random = np.random.default_rng(seed)
+        random = np.random.default_rng(0)
         low, high = np.maximum(self.lower_rad, -np.pi), np.minimum(self.upper_rad, np.pi)
-        start = self.posture_rad if near_rad is None else near_rad
+        start = self.posture_rad
         closest = (np.inf, np.inf)
         for _ in range(START_COUNT):
             joints, error = self._searched(pose, start)

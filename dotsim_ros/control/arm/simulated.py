@@ -17,9 +17,8 @@ import numpy as np
 from dotsim_ros.control.arm.command import (
     ANGULAR,
     LINEAR,
+    ToolLimits,
     Twist,
-    approached,
-    within_speed,
     zero_twist,
 )
 from dotsim_ros.control.arm.kinematics import ArmKinematics, JointMotion
@@ -35,17 +34,11 @@ LONGEST_DELAY_S = 2.0
 
 
 @dataclass(frozen=True)
-class ArmLimits:
+class ArmLimits(ToolLimits):
     """What the tool may do, whatever it is commanded.
 
     The defaults are those that UFACTORY states for the tool of its arms (1 m/s, 50 m/s^2) and, for
     its turning, those of a joint (180 degrees/s, 1146 degrees/s^2).
-
-    Attributes:
-        linear_m_s: fastest the tool moves.
-        angular_rad_s: fastest it turns.
-        linear_m_s2: most that its velocity changes a second.
-        angular_rad_s2: the same of its rate.
     """
 
     linear_m_s: float = 1.0
@@ -95,15 +88,8 @@ class ArmFaults:
 
 @dataclass(frozen=True)
 class ArmState:
-    """The arm at one moment.
-
-    Attributes:
-        time_s: of the state.
-        joints_rad: (7,).
-        motion: rates of the joints in the step that led here, and what held them back.
-        pose: of the tool in the base.
-        twist: (6,) of the tool in that step, along the base's axes.
-    """
+    """The arm at one moment: its joints (7,), their rates in the step that led here and what held
+    them back, the pose of the tool in the base, and its velocity (6,) along the base's axes."""
 
     time_s: float
     joints_rad: FloatArray
@@ -134,15 +120,9 @@ class SimulatedArm:
     """An arm that is moved by velocities. Not for several threads at once.
 
     Args:
-        kinematics: of the arm; its own.
         start_joints_rad: (7,) where it begins, and where `reset` puts it.
-        limits: of the tool.
-        response: to commands.
-        start_s: the time of the first state.
-        seed: of the jitter.
 
     Attributes:
-        faults: what is wrong at the moment.
         is_emergency: stopped by `emergency_stop`, until `reset`.
     """
 
@@ -186,7 +166,6 @@ class SimulatedArm:
 
         Args:
             twist: (6,) finite, m/s and rad/s; limited to what the tool may do.
-            now_s: when it comes.
             along_tool: its axes are those of the tool, which turn with it, else those of the base.
 
         Raises:
@@ -198,9 +177,7 @@ class SimulatedArm:
         late_s = abs(float(self._random.normal(0.0, self.response.jitter_s)))
         acts_s = now_s + self.response.latency_s + late_s + self.faults.delay_s
         last_s = self._waiting[-1].acts_s if self._waiting else -np.inf
-        limited = within_speed(
-            twist, linear_m_s=self.limits.linear_m_s, angular_rad_s=self.limits.angular_rad_s
-        )
+        limited = self.limits.within_speed(twist)
         self._waiting.append(_Command(max(acts_s, last_s), limited, along_tool))
 
     def halt(self, now_s: float) -> None:
@@ -320,20 +297,13 @@ class SimulatedArm:
 
     def _approached(self, target: Twist) -> Twist:
         """Return how far the velocity gets towards its target in a step."""
-        limits = self.limits
         way = target - self._wanted
         if self._is_braking() or np.abs(way).max() < REST:
             goal = target
         else:
             share = -np.expm1(-STEP_S / self.response.time_constant_s)
             goal = self._wanted + share * way
-        return approached(
-            self._wanted,
-            goal,
-            STEP_S,
-            linear_m_s2=limits.linear_m_s2,
-            angular_rad_s2=limits.angular_rad_s2,
-        )
+        return self.limits.approached(self._wanted, goal, STEP_S)
 
     def _eased(self, rates: FloatArray, jacobian: FloatArray) -> FloatArray:
         """Return rates that change the tool's velocity by no more than is allowed.

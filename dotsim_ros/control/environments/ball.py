@@ -17,19 +17,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.control.environments.observation import (
-    check_observation,
-    coarse,
-    observation_space,
-    observe,
-)
+from dotsim_ros.control.environments.observation import TouchView
 from dotsim_ros.control.policy.paths import contact_with, reference_path
 from dotsim_ros.gel.implicit.gel import PressTooDeepError
 from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.sensor import GelFailureError, TactileSensor
-from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
+from dotsim_ros.sensor import GelFailureError
+from dotsim_ros.specification import SensorSpecification, SolverSpecification
 
 FRAME_S = 0.04
 LARGEST_SPEED_M_S = 0.008
@@ -42,11 +37,7 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
     """What pressing and following have in common.
 
     Args:
-        observation: one of `observation.KINDS`.
-        image_size_px: width and height of image and depth.
-        duration_s: of an episode.
-        sensor: name, file or specification.
-        solver: of the gel; None for a coarse one, or for a pad its own.
+        observation, image_size_px, sensor, solver: as for `TouchView`.
         render_mode: "rgb_array" for the tactile image, or None.
 
     Raises:
@@ -65,16 +56,17 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
         solver: SolverSpecification | None = None,
         render_mode: str | None = None,
     ) -> None:
-        check_observation(observation, image_size_px)
-        self._observation, self._size_px = observation, image_size_px
-        self.render_mode = render_mode
-        specification = coarse(given_sensor(sensor), solver, image_size_px)
-        self.sensor = TactileSensor.load(
-            specification, indenter={"kind": "sphere", "radius_m": BALL_RADIUS_M}
+        self._view = TouchView(
+            sensor,
+            solver,
+            observation,
+            image_size_px,
+            indenter={"kind": "sphere", "radius_m": BALL_RADIUS_M},
         )
-        self.contact = contact_with(specification.gel, BALL_RADIUS_M)
+        self.sensor, self.observation_space = self._view.sensor, self._view.space
+        self.render_mode = render_mode
+        self.contact = contact_with(self.sensor.specification.gel, BALL_RADIUS_M)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
-        self.observation_space = observation_space(observation, self.sensor, image_size_px)
         if not FRAME_S <= duration_s < np.inf:
             raise ValueError(f"duration_s is {duration_s}, expected at least {FRAME_S} s, a frame")
         self._largest_count = round(duration_s / FRAME_S)
@@ -129,11 +121,11 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
         """Return the tactile image (H, W, 3) where the mode is "rgb_array"."""
         if self.render_mode is None or self.gel is None:
             return None
-        return observe("image", self.sensor, self.gel, self._size_px)
+        return self._view.see(self.gel, "image")
 
     def _seen(self) -> NDArray[Any]:
         assert self.gel is not None
-        return observe(self._observation, self.sensor, self.gel, self._size_px)
+        return self._view.see(self.gel)
 
     def force_n(self) -> float:
         """Return the size of the gel's force."""
@@ -158,10 +150,6 @@ class PressEnvironment(BallEnvironment):
 
     The reward is how much closer the force came, as a share of what is asked, and 1 at the end. An
     episode ends once the force was within a tenth of what is asked for `HELD_COUNT` frames.
-
-    Args:
-        force_n: asked for.
-        others: as for `BallEnvironment`.
     """
 
     HELD_COUNT = 6
@@ -201,7 +189,6 @@ class FollowEnvironment(BallEnvironment):
 
     Args:
         path: one of `paths.PATHS`.
-        others: as for `BallEnvironment`.
 
     Raises:
         ValueError: as `BallEnvironment`, no such path, or one that is too deep for the gel.

@@ -25,16 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.control.environments.coupling import MujocoCoupling
-from dotsim_ros.control.environments.observation import (
-    check_observation,
-    coarse,
-    observation_space,
-    observe,
-)
+from dotsim_ros.control.environments.observation import TouchView
 from dotsim_ros.gel.implicit.gel import PressTooDeepError
 from dotsim_ros.gel.make import GelFrame
-from dotsim_ros.sensor import GelFailureError, TactileSensor
-from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
+from dotsim_ros.sensor import GelFailureError
+from dotsim_ros.specification import SensorSpecification, SolverSpecification
 
 FRAME_RATE_HZ = 24.0
 STEPS_A_FRAME = 20
@@ -73,7 +68,6 @@ class BoxYawTask:
 
     Attributes:
         target_rad, tolerance_rad: the yaw to reach, and how close counts as there.
-        duration_s: of an episode.
         speed_m_s: of a move along one axis.
         half_width_m, half_height_m, mass_kg: of the box.
         friction: of box and table.
@@ -105,11 +99,7 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
     """`DenseTactBoxYaw-v0`.
 
     Args:
-        observation: one of `observation.KINDS`.
-        image_size_px: width and height of image and depth.
-        task: what is asked.
-        sensor: name, file or specification.
-        solver: of the gel; None for a coarse one, or for a pad its own.
+        observation, image_size_px, sensor, solver: as for `TouchView`.
         render_mode: "rgb_array" for the tactile image, or None.
 
     `info` has the yaw in degrees and whether it is there. An episode that cannot be won any more,
@@ -117,7 +107,7 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
     truncated and `info["reason"]` says why.
 
     Raises:
-        ValueError: an observation or size that there is not.
+        ValueError: as `TouchView`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": int(FRAME_RATE_HZ)}  # noqa: RUF012
@@ -132,11 +122,10 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         solver: SolverSpecification | None = None,
         render_mode: str | None = None,
     ) -> None:
-        check_observation(observation, image_size_px)
-        self.task = BoxYawTask() if task is None else task
-        self._observation, self._size_px = observation, image_size_px
+        self._view = TouchView(sensor, solver, observation, image_size_px)
+        self.sensor, self.observation_space = self._view.sensor, self._view.space
         self.render_mode = render_mode
-        self.sensor = TactileSensor.load(coarse(given_sensor(sensor), solver, image_size_px))
+        self.task = BoxYawTask() if task is None else task
         is_dome = self.sensor.specification.gel.shape == "dome"
         self._lowering_steps = LOWERING_STEPS if is_dome else PAD_LOWERING_STEPS
         step_s = 1.0 / FRAME_RATE_HZ / (STEPS_A_FRAME if is_dome else PAD_STEPS_A_FRAME)
@@ -150,7 +139,6 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         self.model = mujoco.MjModel.from_xml_string(text)
         self.data = mujoco.MjData(self.model)
         self.action_space = gymnasium.spaces.Discrete(len(MOVES))
-        self.observation_space = observation_space(observation, self.sensor, image_size_px)
         self._coupling: MujocoCoupling | None = None
         self._gel: GelFrame | None = None
         self._velocity_m_s = np.zeros(3)
@@ -245,11 +233,11 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         """Return the tactile image (H, W, 3) where the mode is "rgb_array"."""
         if self.render_mode is None or self._gel is None or self._coupling is None:
             return None
-        return observe("image", self.sensor, self._gel, self._size_px)
+        return self._view.see(self._gel, "image")
 
     def _seen(self) -> NDArray[Any]:
         assert self._gel is not None
-        return observe(self._observation, self.sensor, self._gel, self._size_px)
+        return self._view.see(self._gel)
 
     def _info(self, reason: str) -> dict[str, Any]:
         info: dict[str, Any] = {

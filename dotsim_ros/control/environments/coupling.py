@@ -95,13 +95,7 @@ class CoupledFinger:
     """A finger in its world: where it is, and the wrench between its gel and its geom.
 
     Args:
-        model, data: MuJoCo's.
-        finger: what it is.
         move_m: farthest that the geom moves on the gel between two solutions.
-
-    Attributes:
-        sensor: the finger's.
-        solution_count: how often its gel was solved.
 
     Raises:
         ValueError: no such body or geom.
@@ -237,7 +231,6 @@ class MujocoGripper:
     Args:
         model, data: MuJoCo's. For each of MuJoCo's steps the gels' wrenches are added to what the
             caller has put into `data.xfrc_applied`, and taken out again.
-        fingers: the sensors.
         coupling_s: longest time between two solutions of a gel.
         move_m: farthest that a geom moves on its gel between two.
 

@@ -40,8 +40,6 @@ def indenter_of(model: mujoco.MjModel, geom: int, away: FloatArray) -> tuple[Ind
     """Return a geom as an indenter, and the indenter's frame in the geom's.
 
     Args:
-        model: the world.
-        geom: number of the geom.
         away: (3,) direction in the geom's frame in which the gel lies behind the geom's surface:
             +z of the indenter's frame, along which it comes to its first pose.
 

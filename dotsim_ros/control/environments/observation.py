@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.sensor import TactileSensor
-from dotsim_ros.specification import SensorSpecification, SolverSpecification
+from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
 
 KINDS = ("image", "depth", "skin", "wrench")
 """The image (H, W, 3); range in m (along the ray of the pixel) and the three parts of the normal
@@ -29,36 +31,80 @@ SOLVER = SolverSpecification(grid_spacing_m=3.6e-3, refined=False, tolerance_m=1
 diverge with it."""
 
 
-def check_observation(kind: str, size_px: tuple[int, int]) -> None:
-    """Raise unless an environment can show this.
+class TouchView:
+    """What an environment shows of its sensor.
+
+    The sensor sees what it saw, with as few pixels as the size needs: images keep the camera's
+    shape, and are cropped to the middle. Its skin has a marker a pixel of a small image, no finer.
+
+    Args:
+        solver: of its gel; None for `SOLVER`, or for a pad its own.
+        kind: one of `KINDS`.
+        size_px: width and height of image and depth.
 
     Raises:
-        ValueError: another name, or no size.
+        ValueError: a kind or size that there is not.
     """
-    if kind not in KINDS:
-        raise ValueError(f"observation is {kind!r}, expected one of {', '.join(KINDS)}")
-    if min(size_px) < 16:
-        raise ValueError(
-            f"image_size_px is {size_px}, expected a width and a height of at least 16 pixels"
+
+    def __init__(
+        self,
+        sensor: str | Path | SensorSpecification,
+        solver: SolverSpecification | None,
+        kind: str,
+        size_px: tuple[int, int],
+        *,
+        indenter: str | Mapping[str, Any] = "sphere_4mm",
+    ) -> None:
+        if kind not in KINDS:
+            raise ValueError(f"observation is {kind!r}, expected one of {', '.join(KINDS)}")
+        if min(size_px) < 16:
+            raise ValueError(
+                f"image_size_px is {size_px}, expected a width and a height of at least 16 pixels"
+            )
+        self._kind, self._size_px = kind, size_px
+        specification = _coarse(given_sensor(sensor), solver, size_px)
+        self.sensor = TactileSensor.load(specification, indenter=indenter)
+        self.space = self._space()
+
+    def _space(self) -> gymnasium.spaces.Box:
+        width, height = self._size_px
+        if self._kind == "image":
+            return gymnasium.spaces.Box(0, 255, (height, width, 3), np.uint8)
+        if self._kind == "depth":
+            high = np.ones((height, width, 4), dtype=np.float32)
+            low = -high
+            low[..., 0], high[..., 0] = 0.0, LARGEST_DEPTH_M
+            return gymnasium.spaces.Box(low, high, dtype=np.float32)
+        shape = (self.sensor.skin.vertex_count, 3) if self._kind == "skin" else (6,)
+        return gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
+
+    def see(self, gel: GelFrame, kind: str = "") -> NDArray[Any]:
+        """Return the observation, or another of `KINDS`."""
+        kind = kind or self._kind
+        if kind == "wrench":
+            return np.concatenate([gel.wrench.force_n, gel.wrench.torque_nm]).astype(np.float32)
+        if kind == "skin":
+            return (gel.skin_position_m - self.sensor.skin.rest_position_m).astype(np.float32)
+        frame, size_px = self.sensor.see(gel, None), self._size_px
+        if kind == "image":
+            middle = _middle(frame.image, size_px)
+            return np.asarray(cv2.resize(middle, size_px, None, 0, 0, cv2.INTER_AREA))
+        seen = np.concatenate([frame.depth_m[..., None], frame.normal], axis=-1)
+        middle = _middle(
+            np.clip(np.nan_to_num(seen, nan=0.0), -1.0, 1.0).astype(np.float32), size_px
         )
+        # A mean over the rim of the skin would be of nothing that is there.
+        return np.asarray(cv2.resize(middle, size_px, None, 0, 0, cv2.INTER_NEAREST))
 
 
-def coarse(
+def _coarse(
     specification: SensorSpecification,
     solver: SolverSpecification | None,
     size_px: tuple[int, int],
 ) -> SensorSpecification:
-    """Return a sensor for learning, with another solver; where that is None, with `SOLVER` if it is
-    a dome, and with its own if it is a pad.
-
-    It sees what it saw, with as few pixels as a size (width, height) needs: images keep the
-    camera's shape, and are cropped to the middle by `observe`. Its skin has a marker a pixel of a
-    small image, no finer.
-    """
     if solver is None:
         solver = SOLVER if specification.gel.shape == "dome" else specification.solver
     camera = specification.camera
-    gel = replace(specification.gel, skin_spacing_m=SKIN_SPACING_M)
     unit = math.gcd(camera.width, camera.height)
     across, down = camera.width // unit, camera.height // unit
     count = max(math.ceil(size_px[0] / across), math.ceil(size_px[1] / down))
@@ -67,52 +113,12 @@ def coarse(
     x, y = ((place + 0.5) * scale - 0.5 for place in camera.principal_point_px)
     return replace(
         specification,
-        gel=gel,
+        gel=replace(specification.gel, skin_spacing_m=SKIN_SPACING_M),
         solver=solver,
         camera=replace(
             camera, width=count * across, height=count * down, principal_point_px=(x, y)
         ),
     )
-
-
-def observation_space(
-    kind: str, sensor: TactileSensor, size_px: tuple[int, int]
-) -> gymnasium.spaces.Box:
-    """Return the space of an observation of `KINDS`, of a size (width, height) where it has one."""
-    width, height = size_px
-    match kind:
-        case "image":
-            return gymnasium.spaces.Box(0, 255, (height, width, 3), np.uint8)
-        case "depth":
-            high = np.ones((height, width, 4), dtype=np.float32)
-            low = -high
-            low[..., 0], high[..., 0] = 0.0, LARGEST_DEPTH_M
-            return gymnasium.spaces.Box(low, high, dtype=np.float32)
-        case "skin":
-            shape: tuple[int, ...] = (sensor.skin.vertex_count, 3)
-        case _:
-            shape = (6,)
-    return gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
-
-
-def observe(
-    kind: str, sensor: TactileSensor, gel: GelFrame, size_px: tuple[int, int]
-) -> NDArray[Any]:
-    """Return an observation of `KINDS`, of a size (width, height) where it has one."""
-    if kind == "wrench":
-        return np.concatenate([gel.wrench.force_n, gel.wrench.torque_nm]).astype(np.float32)
-    if kind == "skin":
-        return (gel.skin_position_m - sensor.skin.rest_position_m).astype(np.float32)
-    frame = sensor.see(gel, None)
-    if kind == "image":
-        return np.asarray(cv2.resize(_middle(frame.image, size_px), size_px, None, 0, 0, _AREA))
-    seen = np.concatenate([frame.depth_m[..., None], frame.normal], axis=-1)
-    clipped = np.clip(np.nan_to_num(seen, nan=0.0), -1.0, 1.0).astype(np.float32)
-    # A mean over the rim of the skin would be of nothing that is there.
-    return np.asarray(cv2.resize(_middle(clipped, size_px), size_px, None, 0, 0, _NEAREST))
-
-
-_AREA, _NEAREST = cv2.INTER_AREA, cv2.INTER_NEAREST
 
 
 def _middle(image: NDArray[Any], size_px: tuple[int, int]) -> NDArray[Any]:

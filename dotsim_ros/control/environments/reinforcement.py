@@ -59,16 +59,12 @@ class PpoSettings:
     """What is learnt, and how.
 
     Attributes:
-        environment: its id.
-        options: of it.
         world_count: worlds side by side, each in a process where there are several.
         rollout: steps of each world between two updates.
-        epochs, mini_batches: of an update.
         learning_rate, discount, entropy_share: of PPO. Three times that rate finds the way as
             fast and loses it again, since the policy then moves by more than the few episodes
             between two updates tell. What a move does to the box is felt at once: a long memory
             only adds to their noise.
-        seed: of everything.
     """
 
     environment: str = "DenseTactBoxYaw-v0"
@@ -91,7 +87,6 @@ class Progress:
 
     Attributes:
         steps: of all worlds together.
-        seconds: spent.
         curve: (steps, share of successes among the last episodes, mean return of these).
         is_enough: whether it ended because the share was large enough.
         best_share: the largest share of a full `EPISODES`; the policy of then is the one kept.
@@ -222,9 +217,6 @@ def train(
     that got there most often while learning is kept as well, and is the one that is judged.
 
     Args:
-        settings: what is learnt.
-        folder: of the checkpoint.
-        steps: of all worlds together, those done before included.
         seconds: of the training, those spent before included.
         enough: share of the last `EPISODES` episodes that got there after which it ends.
         tell: called with a line about each update.
@@ -327,13 +319,7 @@ def make_worlds(settings: PpoSettings) -> gymnasium.vector.VectorEnv:
 
 @dataclass(frozen=True)
 class Episode:
-    """How an episode went.
-
-    Attributes:
-        seed: of its start.
-        is_success: whether it got there.
-        frames: its length.
-    """
+    """How an episode from a seed went: whether it got there, and its length."""
 
     seed: int
     is_success: bool
@@ -389,9 +375,6 @@ def success_share(
     """Return the share of episodes in which the most likely moves of a learnt policy get there.
 
     Args:
-        settings: it was learnt with.
-        folder: of its checkpoint.
-        seeds: of the episodes.
         changes: of the environment's options.
 
     Raises:

@@ -21,7 +21,6 @@ from dotsim_ros.io.arrays import FloatArray
 START_SPREAD_M = 0.4e-3
 """Standard deviation along each axis of where a trial starts next to its path."""
 
-
 BRAKING_S = 0.3
 """After the last command the motion still counts for so long."""
 

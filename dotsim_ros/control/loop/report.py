@@ -29,11 +29,7 @@ from dotsim_ros.io.page import (
 )
 
 PANEL_INCHES = (3.5, 2.5)
-
-
 REFERENCE_COLOUR, APPROACH_COLOUR = "#9aa5b1", "#d9a441"
-
-
 TRIAL_COLOURS = ("#1f5fa8", "#c0392b", "#2e8b57", "#7d3c98", "#b9770e")
 
 
@@ -98,15 +94,8 @@ def trial_report(
     sensor: str,
     origin: Mapping[str, str],
 ) -> Page:
-    """Return the report of one trial.
-
-    Args:
-        row: its figures, from `judge`.
-        limits: that the motion is held against.
-        image: of the path.
-        path, policy, sensor: names.
-        origin: where it comes from.
-    """
+    """Return the report of one trial: its figures of `judge`, against limits, and where it comes
+    from."""
     sections = [Section("Path", (Gallery((image,)),), is_half=True)]
     is_judged = "mean_error_mm" in row
     lead = f"Not judged: {row['ended']}."

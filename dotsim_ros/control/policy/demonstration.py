@@ -3,7 +3,7 @@
 
 """Demonstrations: an expert moves a sensor against a ball; the sensor's images and its commands.
 
-An episode is one motion on one gel, seen by several looks (`policy_looks`). Half of the episodes
+An episode is one motion on one gel, seen by several looks. Half of the episodes
 follow a path by the expert with errors injected, so that the labels show the way back (Laskey et
 al., "DART: noise injection for robust imitation learning", CoRL 2017). The others wander between
 places near the paths at any speed: without them the drag of the skin would show which way the
@@ -17,36 +17,30 @@ and structured prediction to no-regret online learning", AISTATS 2011).
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.control.policy.demonstration_card import (
-    CONTACT,
-    CONTENT,
-    PLAN,
-    content_of,
-    keep_card,
-)
-from dotsim_ros.control.policy.expert import Expert
 from dotsim_ros.control.policy.images import PolicyView, fingerprint
 from dotsim_ros.control.policy.looks import Look, LookRanges
 from dotsim_ros.control.policy.network import load_policy
-from dotsim_ros.control.policy.paths import DomeContact, ReferencePath, reference_path
+from dotsim_ros.control.policy.paths import DomeContact, Expert, ReferencePath, reference_path
 from dotsim_ros.control.policy.rollout import follow
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray, ImageArray
-from dotsim_ros.io.documents import read_arrays
-from dotsim_ros.io.files import whole_file
+from dotsim_ros.io.cache import content_key
+from dotsim_ros.io.documents import is_number, read_arrays, read_json, value_text
+from dotsim_ros.io.files import given_path, whole_file, write_json
 from dotsim_ros.io.provenance import provenance
 from dotsim_ros.io.worker_pool.pool import Crew, open_pool
+from dotsim_ros.optics.idle import description_of
 from dotsim_ros.sensor import GelFailureError, TactileSensor
 from dotsim_ros.specification import SensorSpecification
 
@@ -60,22 +54,18 @@ STORED_SIDE_PX = 128
 FRICTION_FACTORS = (1.0, 0.6, 1.4)
 """Number of gels, which episodes use in turn. Young's modulus does not vary: the shape of a gel
 that a rigid body presses slowly does not depend on it."""
+CARD = "demonstrations.json"
+PLAN, CONTACT, CONTENT = "plan", "contact", "content"
+"""Entries of the card: the plan, the fields of `DomeContact`, and `content_of` sensor and ball.
+Names do not tell sensors apart: a user's file may have that of a shipped one."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to demonstrate.
+    """What to demonstrate: motions, each seen in `frame_count` images by each of several looks.
 
-    Attributes:
-        sensor: name of the sensor, for the card.
-        paths: names of the paths.
-        episode_count: how many motions.
-        frame_count: images of each look in an episode.
-        look_count: looks of an episode.
-        wander_share: part of the episodes that follow no path.
-        seed: that everything is drawn by.
-        policy: folder of the policy that drives in the expert's place; empty for none.
-        looks: how far the looks differ.
+    `wander_share` of the motions follow no path. `policy` is the folder of the policy that drives
+    in the expert's place, empty for none.
     """
 
     sensor: str
@@ -242,16 +232,7 @@ def view_of(sensor: SensorSpecification) -> PolicyView:
 
 
 class Demonstrator:
-    """Makes the episodes of a plan.
-
-    Args:
-        sensor: whose gel is pressed.
-        indenter: what it is held against.
-        plan: what to demonstrate.
-
-    Raises:
-        ValueError: as `contact_of`.
-    """
+    """Makes the episodes of a plan; errors as of `contact_of`."""
 
     def __init__(self, sensor: SensorSpecification, indenter: Indenter, plan: Plan) -> None:
         self._sensor, self._indenter, self.plan = sensor, indenter, plan
@@ -287,52 +268,39 @@ class Demonstrator:
         gel.reset()
         for place in approach(places[0], self.contact):
             gel.press(Pose(place), 1.0 / RATE_HZ)
-        record = _Record(gel, looks, self.view)
+        crops: list[list[ImageArray]] = [[] for _ in looks]
+        fingerprints: list[list[NDArray[np.float32]]] = [[] for _ in looks]
+        seen_m: list[FloatArray] = []
+
+        def press(pose: Pose) -> ImageArray:
+            """Press the gel, keep what each look sees of it, and return the first one's image."""
+            skin = gel.press(pose, 1.0 / RATE_HZ).skin_position_m
+            images = [look.image(skin) for look in looks]
+            for row, (look, image) in enumerate(zip(looks, images, strict=True)):
+                crops[row].append(self.view.crop(image))
+                fingerprints[row].append(fingerprint(image, look.idle))
+            seen_m.append(pose.position_m)
+            return images[0]
+
         if self.plan.policy and kind != WANDER:
-            follow(
-                load_policy(Path(self.plan.policy), kind, thread_count=1),
-                record,
-                looks[0].idle,
-                reference_path(kind, self.contact),
-                Pose(places[0]),
-                frame_count=len(places),
-                rate_hz=RATE_HZ,
-            )
+            policy = load_policy(Path(self.plan.policy), kind, thread_count=1)
+            start, count = Pose(places[0]), len(places)
+            follow(policy, press, looks[0].idle, start, frame_count=count, rate_hz=RATE_HZ)
         else:
             with suppress(GelFailureError):
                 for place in places:
-                    record(Pose(place))
-        position = np.reshape(record.position_m, (-1, 3))
-        if not len(position):
+                    press(Pose(place))
+        if not seen_m:
             raise GelFailureError(f"the gel could not be solved for the start of episode {number}")
+        position = np.reshape(seen_m, (-1, 3))
         return Episode(
-            np.array(record.crops, dtype=np.uint8),
+            np.array(crops, dtype=np.uint8),
             np.array([self.view.crop(look.idle) for look in looks]),
-            np.array(record.fingerprints, dtype=np.float32),
+            np.array(fingerprints, dtype=np.float32),
             position,
             labels(self.plan.paths, self.contact, position),
             self.plan.paths,
         )
-
-
-class _Record:
-    """Presses the gel and keeps what each look saw."""
-
-    def __init__(self, gel: TactileSensor, looks: Sequence[Look], view: PolicyView) -> None:
-        self._gel, self._looks, self._view = gel, looks, view
-        self.crops: list[list[ImageArray]] = [[] for _ in looks]
-        self.fingerprints: list[list[NDArray[np.float32]]] = [[] for _ in looks]
-        self.position_m: list[FloatArray] = []
-
-    def __call__(self, pose: Pose) -> ImageArray:
-        """Return the image (H, W, 3) of the first look with the indenter at a pose."""
-        skin = self._gel.press(pose, 1.0 / RATE_HZ).skin_position_m
-        images = [look.image(skin) for look in self._looks]
-        for number, (look, image) in enumerate(zip(self._looks, images, strict=True)):
-            self.crops[number].append(self._view.crop(image))
-            self.fingerprints[number].append(fingerprint(image, look.idle))
-        self.position_m.append(pose.position_m)
-        return images[0]
 
 
 def episode_file(folder: Path, number: int) -> Path:
@@ -364,6 +332,89 @@ def read_episode(path: Path) -> Episode:
         ) from error
 
 
+def content_of(sensor: SensorSpecification, indenter: Indenter) -> str:
+    """Return a key of all that decides what a sensor shows of an indenter: the place of its image
+    does not.
+
+    Raises:
+        FileNotFoundError: the sensor names an image that is not there.
+    """
+    described = asdict(sensor)
+    image = described["camera"].pop("idle_image")
+    # Looks have lights and coats of their own, which no network completes.
+    described["camera"].pop("residual")
+    files = [given_path(image), description_of(sensor)] if image else []
+    return content_key((), described, indenter, [file.read_bytes() for file in files if file])
+
+
+def keep_card(folder: Path, card: Mapping[str, Any]) -> None:
+    """Write the card of a folder, or see that the one that is there is of the same demonstrations.
+
+    Raises:
+        ValueError: it is of another plan, sensor or indenter, or none that `read_card` takes.
+    """
+    if not (folder / CARD).is_file():
+        write_json(folder / CARD, card)
+        return
+    known = read_card(folder)
+    if known[PLAN] != card[PLAN]:
+        raise ValueError(
+            f"{folder} holds demonstrations of another plan; choose another folder, or remove it "
+            "to make them again"
+        )
+    if known[CONTENT] != card[CONTENT]:
+        raise ValueError(
+            f"{folder} holds demonstrations of another sensor or indenter than the present "
+            f"{value_text(card[PLAN]['sensor'])} and {value_text(card[PLAN]['indenter'])}, whose "
+            "names are the same; give another folder with --out, or remove it to make them again"
+        )
+
+
+def read_card(folder: Path) -> dict[str, Any]:
+    """Return the card of a folder of demonstrations.
+
+    Raises:
+        ValueError: it holds none, or one of a version that did not note sensor and indenter.
+    """
+    try:
+        card = read_json(folder / CARD)
+        if not isinstance(card, dict) or PLAN not in card:
+            raise ValueError("no plan in it")
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"{folder} holds no demonstrations ({error}); make some with dotsim_ros demonstrate "
+            f"--out {folder}"
+        ) from error
+    for entry in (CONTACT, CONTENT):
+        if entry not in card:
+            raise ValueError(
+                f"{folder / CARD} has no {entry}: it is of an earlier version, which did not note "
+                "the sensor and the ball, so that neither can be told; make the demonstrations "
+                "again in another folder with dotsim_ros demonstrate"
+            )
+    return card
+
+
+def contact_in(folder: Path) -> DomeContact:
+    """Return how ball and dome of a folder's demonstrations touched.
+
+    Raises:
+        ValueError: as `read_card`, or its contact is none.
+    """
+    given = read_card(folder)[CONTACT]
+    names = [field.name for field in fields(DomeContact)]
+    if (
+        not isinstance(given, dict)
+        or sorted(given) != sorted(names)
+        or not all(is_number(value) and value > 0.0 for value in given.values())
+    ):
+        raise ValueError(
+            f"{folder / CARD}: {CONTACT} is {value_text(given)}, expected {' and '.join(names)} in "
+            "metres; make the demonstrations again with dotsim_ros demonstrate"
+        )
+    return DomeContact(**given)
+
+
 def demonstrate(
     sensor: SensorSpecification,
     indenter: Indenter,
@@ -373,28 +424,21 @@ def demonstrate(
     progress: Callable[[int, int], None],
     workers: Crew = 1,
 ) -> int:
-    """Make the episodes of a plan that a folder does not hold yet.
+    """Make the episodes of a plan that a folder does not hold yet; return how many frames of all
+    looks there are.
 
     It starts processes, so a script calls it below `if __name__ == "__main__":`.
 
     Args:
-        sensor: whose gel is pressed.
-        indenter: what it is held against.
-        plan: what to demonstrate.
-        folder: of the files.
         progress: called with the number of episodes done, and of all.
         workers: how many processes, or workers of Ray, each of which makes an episode.
-
-    Returns:
-        The number of frames, of all looks.
 
     Raises:
         ValueError: as `contact_of`, or the folder holds demonstrations of another plan, sensor or
             indenter, as `keep_card` tells.
     """
     contact = contact_of(sensor, indenter)
-    described: dict[str, Any] = json.loads(json.dumps(asdict(plan)))
-    described["indenter"] = indenter.name
+    described = {**json.loads(json.dumps(asdict(plan))), "indenter": indenter.name}
     keep_card(
         folder,
         {

@@ -15,11 +15,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.control.policy.demonstration import Episode, read_episode
-from dotsim_ros.control.policy.demonstration_card import CONTACT, CONTENT, PLAN, read_card
-from dotsim_ros.control.policy.expert import Expert
+from dotsim_ros.control.policy.demonstration import (
+    CONTACT,
+    CONTENT,
+    PLAN,
+    Episode,
+    read_card,
+    read_episode,
+)
 from dotsim_ros.control.policy.images import PolicyInput
-from dotsim_ros.control.policy.paths import DomeContact, reference_path
+from dotsim_ros.control.policy.paths import DomeContact, Expert, reference_path
 from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
 
 HELD_OUT_EVERY = 7
@@ -34,15 +39,9 @@ SYMMETRY_COUNT = 8
 
 @dataclass(frozen=True)
 class Frames:
-    """Images of some episodes, one after the other.
-
-    Attributes:
-        crop: (N, side, side, 3) uint8.
-        idle: (I, side, side, 3) uint8.
-        idle_of: (N,) which idle crop goes with each.
-        position_m: (N, 3) places of the indenter.
-        fingerprint: (N, 96).
-    """
+    """Images of some episodes, one after the other: crops (N, side, side, 3) and idle crops
+    (I, side, side, 3) uint8, which of the idle ones (N,) goes with each, places of the indenter
+    (N, 3) and fingerprints (N, 96)."""
 
     crop: NDArray[np.uint8]
     idle: NDArray[np.uint8]
@@ -147,14 +146,7 @@ def moved_position(position_m: FloatArray, symmetry: int) -> FloatArray:
 
 
 class PolicyExamples:
-    """Gives batches of a network's inputs and what it should answer.
-
-    Args:
-        frames: to draw from.
-        paths: names of the paths.
-        contact: of which ball on which dome.
-        side_px: of the network's crops.
-    """
+    """Batches of inputs of a network whose crops are `side_px` wide, and what it should answer."""
 
     def __init__(
         self, frames: Frames, paths: Sequence[str], contact: DomeContact, side_px: int
@@ -177,13 +169,8 @@ class PolicyExamples:
     def input(
         self, number: int, symmetry: int = 0, random: np.random.Generator | None = None
     ) -> Float32Array:
-        """Return the network's input of an image, exposed again where something draws.
-
-        Args:
-            number: of the image.
-            symmetry: as for `moved_crop`.
-            random: draws brightness, colour, blur and noise; None leaves them.
-        """
+        """Return the network's input of an image, turned by a symmetry of `moved_crop`; where
+        something draws, with another brightness, colour, blur and noise."""
         size = (self._side_px, self._side_px)
         crop = moved_crop(self.frames.crop[number], symmetry)
         idle = moved_crop(self.frames.idle[self.frames.idle_of[number]], symmetry)
@@ -198,14 +185,9 @@ class PolicyExamples:
     ) -> tuple[Float32Array, FloatArray, FloatArray, FloatArray]:
         """Return inputs (N, C, side, side) of images, and their answers."""
         symmetry = random.integers(SYMMETRY_COUNT, size=len(numbers))
-        inputs = [
-            self.input(int(number), int(kind), random)
-            for number, kind in zip(numbers, symmetry, strict=True)
-        ]
-        places = [
-            moved_position(self.frames.position_m[number], int(kind))
-            for number, kind in zip(numbers, symmetry, strict=True)
-        ]
+        drawn = list(zip(numbers.tolist(), symmetry.tolist(), strict=True))
+        inputs = [self.input(number, kind, random) for number, kind in drawn]
+        places = [moved_position(self.frames.position_m[number], kind) for number, kind in drawn]
         return np.stack(inputs), *self.answers(np.array(places))
 
 

@@ -95,23 +95,15 @@ def local_brightness(idle: Float32Array) -> Float32Array:
     return np.asarray(blur + np.float32(DARK_LEVELS), dtype=np.float32)
 
 
-def place_channels(side_px: int) -> Float32Array:
-    """Return (2, side, side) each pixel's place, from -1 to 1, rightwards and downwards."""
-    line = np.linspace(-1.0, 1.0, side_px, dtype=np.float32)
-    return np.stack(np.meshgrid(line, line))
-
-
 class PolicyInput:
-    """Makes a network's input from crops of one idle crop.
-
-    Args:
-        idle: (side, side, 3) uint8 crop of `PolicyView.crop`.
-    """
+    """Makes a network's input from crops of one idle crop (side, side, 3) uint8."""
 
     def __init__(self, idle: ImageArray) -> None:
         self._idle = idle.astype(np.float32)
         self._brightness = local_brightness(self._idle)
-        self._place = place_channels(idle.shape[0])
+        line = np.linspace(-1.0, 1.0, idle.shape[0], dtype=np.float32)
+        # Each pixel's place, from -1 to 1, rightwards and downwards.
+        self._place = np.stack(np.meshgrid(line, line))
 
     def __call__(self, crop: ImageArray) -> Float32Array:
         """Return (CHANNEL_COUNT, side, side): change (3), crop (3), place (2); each about 1."""
@@ -125,11 +117,8 @@ class PolicyInput:
 
 def fingerprint(image: ImageArray, idle: ImageArray) -> Float32Array:
     """Return (96,) a descriptor by which another sensor's images are detected: for each of 6x8
-    cells of the whole image the lit share of the idle image, and how much the image differs.
-
-    Args:
-        image, idle: (h, w, 3) of one size.
-    """
+    cells of the whole image (h, w, 3) the lit share of the idle image, and how much the image
+    differs."""
     size = (GRID[1] * CELL_PX, GRID[0] * CELL_PX)
     small = cv2.resize(idle, size, interpolation=cv2.INTER_AREA)
     now = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)

@@ -34,17 +34,10 @@ OWN_COAT_SHARE = 0.3
 
 @dataclass(frozen=True)
 class LookRanges:
-    """How far looks differ from the sensor's own.
-
-    Attributes:
-        tilt_deg: largest angle of the camera's axis from its own.
-        shift_px: largest error of the principal point, each way.
-        angle_deg: largest error of the lens's angle at half the image's height.
-        gain: smallest and largest brightness.
-        gamma: smallest and largest exponent of the brightness.
-        flicker: standard deviation of the brightness from image to image, relative.
-        noise_levels: largest standard deviation of the camera's noise, of 255.
-    """
+    """How far looks differ from the sensor's own: largest tilt of the camera's axis, error of its
+    principal point each way, and of the lens's angle at half the image's height; range of
+    brightness and of its exponent; relative standard deviation of the brightness from image to
+    image; largest standard deviation of the camera's noise, of 255."""
 
     tilt_deg: float = 1.5
     shift_px: float = 5.0
@@ -122,9 +115,6 @@ class Look:
     """One camera with its lights and coat, that sees the skin of a gel.
 
     Args:
-        sensor: whose look it varies.
-        skin: of its gel.
-        ranges: how far.
         random: what is drawn from, now and for the noise of each image.
 
     Attributes:

@@ -3,56 +3,131 @@
 
 """A policy that follows a path by touch: an image goes in, a velocity of the sensor comes out.
 
-It is run by ONNX Runtime; torch is loaded by `save_policy` alone.
+It is run by ONNX Runtime, without torch. Its card says what it was trained for, on what, and how
+well it performs.
 """
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dotsim_ros.control.policy.card import (
-    COMMAND_SIZE,
-    POLICY,
-    USUAL_MEAN,
-    USUAL_ROOT,
-    PolicyCard,
-    read_policy,
+from dotsim_ros.control.policy.images import (
+    CHANNEL_COUNT,
+    FINGERPRINT,
+    PolicyInput,
+    PolicyView,
+    fingerprint,
 )
-from dotsim_ros.control.policy.images import CHANNEL_COUNT, PolicyInput, fingerprint
 from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.io.documents import shortened, value_text
-from dotsim_ros.optics.network.carded_weights import GRAPH
+from dotsim_ros.optics.network.carded_weights import GRAPH, WEIGHTS, CardKind, read_weights
 from dotsim_ros.optics.network.session import Network
-
-if TYPE_CHECKING:
-    from torch import nn
-
 
 INPUT = "picture"
 THREADS = 1
 """A second one gains a third on an idle machine, and costs tails next to a simulation."""
+FORMAT = 1
+"""Raised whenever a policy's input or output changes its meaning."""
+
+COMMAND_SIZE = 6
+USUAL_MEAN = "usual.mean"
+USUAL_ROOT = "usual.root"
+"""Names in the weights' file: mean (F,) of the training images' fingerprints, and the matrix
+(F, F) that makes their deviations independent, of unit variance."""
+
+
+@dataclass(frozen=True)
+class PolicyCard:
+    """What a policy is.
+
+    Attributes:
+        sensor, indenter: names of whose simulated images it was trained on.
+        paths: names of the paths that it follows, in the order of the network's outputs.
+        image_height, image_width, share, side_px: the fields of `PolicyView`.
+        largest_distance: from which on `image_distance` means another sensor.
+        weights_sha256, graph_sha256: of the weights (by `weights_hash`) and of the graph's file.
+        data, metrics: what it was trained on, and figures by name.
+        commit, date, command: that it was trained by.
+
+    Raises:
+        ValueError: a number is out of range, or the paths have no names.
+    """
+
+    version: int
+    name: str
+    sensor: str
+    indenter: str
+    paths: tuple[str, ...]
+    rate_hz: float
+    image_height: int
+    image_width: int
+    share: float
+    side_px: int
+    largest_distance: float
+    weights_sha256: str = ""
+    graph_sha256: str = ""
+    data: dict[str, Any] = field(default_factory=dict)
+    metrics: dict[str, Any] = field(default_factory=dict)
+    commit: str = ""
+    date: str = ""
+    command: str = ""
+
+    def __post_init__(self) -> None:
+        # JSON knows no tuples.
+        object.__setattr__(self, "paths", tuple(self.paths))
+        if not self.paths or "" in self.paths or len(set(self.paths)) < len(self.paths):
+            raise ValueError(f"paths is {list(self.paths)}, expected names, each of them once")
+        for name, largest in (("rate_hz", 1000.0), ("largest_distance", 1e9)):
+            if not 0.0 < getattr(self, name) <= largest:
+                raise ValueError(
+                    f"{name} is {getattr(self, name):g}, expected above 0 and at most {largest:g}"
+                )
+        # Refuses a part of an image that there is not.
+        _ = self.view
+
+    @property
+    def view(self) -> PolicyView:
+        """What part of an image the network sees; raises a ValueError where there is none."""
+        return PolicyView((self.image_height, self.image_width), self.share, self.side_px)
+
+    def text(self) -> str:
+        """Return the card as JSON."""
+        return json.dumps(asdict(self), indent=2)
+
+
+POLICY = CardKind(PolicyCard, FORMAT, "policy", "dotsim_ros train-policy")
+
+
+def read_policy(folder: Path) -> tuple[PolicyCard, dict[str, NDArray[Any]]]:
+    """Return card and arrays of a policy after a check that its files are whole.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_weights`, and where the training images' statistics
+            are missing or of another shape.
+    """
+    card, arrays = read_weights(folder, POLICY)
+    for name, shape in ((USUAL_MEAN, (FINGERPRINT,)), (USUAL_ROOT, (FINGERPRINT, FINGERPRINT))):
+        found = arrays.get(name)
+        if found is None or found.shape != shape or found.dtype.kind != "f":
+            had = "is missing" if found is None else f"is {found.dtype} of shape {found.shape}"
+            raise ValueError(
+                f"{folder / WEIGHTS}: {name} {had}, expected numbers of shape {shape}; train the "
+                "policy again"
+            )
+    return card, arrays
 
 
 class Policy:
     """A trained policy with the path that it follows.
 
-    Args:
-        network: the graph.
-        card: what the policy is.
-        usual_mean, usual_root: (F,) and (F, F); see `policy_card`.
-        path: name of the path to follow.
-
     Attributes:
-        card: what the policy is.
-        name: of the policy.
         image_shape: height and width of its images; others of that aspect ratio are scaled.
-        paths: names of the paths that it can follow.
-        path: the one that it follows.
-        rate_hz: of images and commands.
-        largest_distance: images with a larger `image_distance` are of another sensor.
     """
 
     def __init__(
@@ -114,9 +189,6 @@ class Policy:
         `largest_distance` for images of something else, or for an image that does not go with the
         idle image.
 
-        Args:
-            image, idle: as for a call.
-
         Raises:
             ValueError: as for a call.
         """
@@ -129,9 +201,7 @@ def load_policy(folder: Path, path: str = "", *, thread_count: int = THREADS) ->
     """Return the policy that a folder holds.
 
     Args:
-        folder: that `dotsim_ros train-policy` wrote.
         path: name of the path to follow; the policy's first where empty.
-        thread_count: of the network.
 
     Raises:
         FileNotFoundError: no policy there.
@@ -159,29 +229,3 @@ def load_policy(folder: Path, path: str = "", *, thread_count: int = THREADS) ->
         usual_root=arrays[USUAL_ROOT],
         path=path,
     )
-
-
-def save_policy(
-    folder: Path,
-    network: nn.Module,
-    card: PolicyCard,
-    *,
-    usual_mean: Float32Array,
-    usual_root: Float32Array,
-) -> PolicyCard:
-    """Write a policy: weights in half precision, the graph that refers to them, and the card.
-
-    Args:
-        folder: made where it does not exist.
-        network: on the CPU; maps (1, CHANNEL_COUNT, side, side) to (1, paths, 6), m/s and rad/s.
-        card: what it is; the hashes are filled in here.
-        usual_mean, usual_root: (F,) and (F, F); see `policy_card`.
-
-    Returns:
-        The card with the hashes.
-    """
-    # Loaded on use: it takes torch.
-    from dotsim_ros.control.policy.export import write_policy
-
-    usual = {USUAL_MEAN: usual_mean, USUAL_ROOT: usual_root}
-    return write_policy(folder, network, card, usual)

@@ -46,12 +46,8 @@ DEEPEST_SHARE = 0.3
 
 @dataclass(frozen=True)
 class DomeContact:
-    """A ball that touches a dome.
-
-    Attributes:
-        dome_radius_m: of the dome, whose centre is the origin of the sensor's frame.
-        ball_radius_m: of the ball, whose frame has its origin at its lowest point.
-    """
+    """A ball on a dome whose centre is the origin of the sensor's frame; the ball's frame has its
+    origin at its lowest point."""
 
     dome_radius_m: float = 0.01575
     ball_radius_m: float = 0.004
@@ -86,11 +82,6 @@ class DomeContact:
 class PadContact:
     """A ball that touches a pad: as on the dome, with lengths and depths that the pad has room for.
 
-    Attributes:
-        size_m: of the pad along x and y, and its thickness in the middle.
-        curvature_per_m: of its face along x and y.
-        ball_radius_m: of the ball, whose frame has its origin at its lowest point.
-
     Raises:
         ValueError: the ball is too large for the pad.
     """
@@ -120,12 +111,8 @@ class PadContact:
         return min(1.0, DEEPEST_SHARE * self.size_m[2] / DEEPEST_M)
 
     def position_m(self, tilt_rad: ArrayLike, depth_m: ArrayLike) -> FloatArray:
-        """Return where the indenter's frame is, (..., 3) in the sensor's frame.
-
-        Args:
-            tilt_rad: (..., 2) of the contact on a dome, for which a place of the face stands.
-            depth_m: (...) nominal depth on a dome, negative before contact.
-        """
+        """Return where the indenter's frame is, (..., 3) in the sensor's frame, for a tilt
+        (..., 2) and a depth (...) on a dome, for which a place of the face stands."""
         place = self.lever_m * np.asarray(tilt_rad, dtype=np.float64)
         x, y = place[..., 0], place[..., 1]
         z = self.size_m[2] - face_drop_m(x, y, self.curvature_per_m)
@@ -148,16 +135,8 @@ def contact_with(gel: GelSpecification, ball_radius_m: float) -> DomeContact | P
 
 @dataclass(frozen=True, eq=False)
 class ReferencePath:
-    """A closed curve with the speed at which it is followed.
-
-    Attributes:
-        name: of the path.
-        position_m: (N, 3) places of the indenter in the sensor's frame, equally far apart.
-        tangent: (N, 3) unit directions of travel.
-        speed_m_s: (N,) speeds.
-        spacing_m: between neighbours.
-        tree: finds the nearest of them.
-    """
+    """A closed curve with the speed at which it is followed: places (N, 3) of the indenter in the
+    sensor's frame, equally far apart, with unit directions of travel (N, 3) and speeds (N,)."""
 
     name: str
     position_m: FloatArray
@@ -218,9 +197,8 @@ def _stadium(phase: FloatArray, half_length: float, radius: float) -> FloatArray
     angle = (arc[turn] - straight) / radius - 0.5 * np.pi
     curve[turn] = np.stack([half_length + radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
     rest = arc >= straight + bend
-    half_lap = _stadium(phase[rest] - 0.5, half_length, radius) if rest.any() else None
-    if half_lap is not None:
-        curve[rest] = -half_lap
+    if rest.any():
+        curve[rest] = -_stadium(phase[rest] - 0.5, half_length, radius)
     return curve
 
 
@@ -268,7 +246,6 @@ def reference_path(name: str, contact: DomeContact | PadContact | None = None) -
     - `press`: in and out at the apex between 0.7 mm and 2.1 mm; 1.2 mm aside on the way.
 
     Args:
-        name: one of PATHS.
         contact: of which ball on which dome or pad.
 
     Raises:
@@ -291,3 +268,47 @@ def reference_path(name: str, contact: DomeContact | PadContact | None = None) -
     speed = ndimage.gaussian_filter1d(speed, SMOOTHING_M / spacing, mode="wrap")
     speed = np.maximum(speed, SMALLEST_SPEED_M_S)
     return ReferencePath(name, position, tangent, speed, spacing, cKDTree(position))
+
+
+@dataclass(frozen=True)
+class Expert:
+    """Knows where the indenter is, and commands how the sensor goes along a path and back to it.
+
+    Attributes:
+        gain_per_s: speed towards the path over the distance from it.
+        look_ahead_s: the path is followed as it is so much later: about the time from an image to
+            the motion that answers it.
+        fading_m: distance from the path at which half of the speed along it is left.
+    """
+
+    path: ReferencePath
+    gain_per_s: float = 2.5
+    look_ahead_s: float = 0.1
+    fading_m: float = 1.0e-3
+    largest_speed_m_s: float = 0.008
+
+    def relative_velocity_m_s(self, position_m: ArrayLike) -> FloatArray:
+        """Return velocities (..., 3) of the indenter relative to the sensor, along its axes.
+
+        Args:
+            position_m: (..., 3) places of the indenter in the sensor's frame.
+        """
+        position = np.asarray(position_m, dtype=np.float64)
+        distance, arc = self.path.nearest(position)
+        nearest, _, speed = self.path.at(arc)
+        _, tangent, speed = self.path.at(arc + self.look_ahead_s * speed)
+        share = 1.0 / (1.0 + np.square(distance / self.fading_m))
+        velocity = (share * speed)[..., None] * tangent + self.gain_per_s * (nearest - position)
+        size = np.linalg.norm(velocity, axis=-1, keepdims=True)
+        return np.asarray(
+            velocity * np.minimum(1.0, self.largest_speed_m_s / np.maximum(size, 1e-9))
+        )
+
+    def command(self, position_m: ArrayLike) -> FloatArray:
+        """Return commands (..., 6) to the sensor, along its own axes: m/s, then rad/s.
+
+        The indenter stands still, so the sensor moves the other way. It does not turn: a ball
+        feels the same from every side, so touch does not identify an error of orientation.
+        """
+        linear = -self.relative_velocity_m_s(position_m)
+        return np.concatenate([linear, np.zeros_like(linear)], axis=-1)

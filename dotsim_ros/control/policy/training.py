@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dotsim_ros.control.policy.card import FORMAT, PolicyCard
-from dotsim_ros.control.policy.demonstration_card import PLAN, contact_in, read_card
+from dotsim_ros.control.policy.demonstration import PLAN, contact_in, read_card
 from dotsim_ros.control.policy.examples import (
     DEPTH_UNIT_M,
     TILT_UNIT_RAD,
@@ -29,10 +28,11 @@ from dotsim_ros.control.policy.examples import (
     data_hash,
     read_split,
 )
-from dotsim_ros.control.policy.network import save_policy
+from dotsim_ros.control.policy.network import FORMAT, PolicyCard
 from dotsim_ros.control.policy.resnet import (
     LINEAR_UNIT_M_S,
     PolicyResNet,
+    save_policy,
     without_normalisation,
 )
 from dotsim_ros.io.arrays import Float32Array
@@ -47,6 +47,8 @@ ROUND = 2000
 PLACE_WEIGHT = 0.3
 """Weight of the place's error next to that of the commands: a network that must also estimate the
 place of the contact learns the commands sooner."""
+_ENTRIES = ("key", "network", "averaged", "optimiser", "step", "spent_s")
+"""Of a checkpoint."""
 SHRINKAGE = 0.02
 """Share of the fingerprints' mean variance that is added to each cell's, since the variance of
 cells that hardly vary is not known better."""
@@ -62,11 +64,8 @@ class PolicyRecipe:
 
     Attributes:
         example_count: shown in all, each exposed again.
-        batch: examples a step.
         learning_rate: of AdamW, the highest of one cycle.
-        weight_decay: of AdamW.
         averaging: share of the running mean of the weights that stays in each step.
-        side_px: of the network's crops.
     """
 
     example_count: int = 80_000
@@ -86,14 +85,8 @@ class PolicyRecipe:
 
 @dataclass(frozen=True)
 class PolicyProgress:
-    """How far a training has come.
-
-    Attributes:
-        done, count: examples.
-        error_m_s: root mean square error of the commands since the last report.
-        place_error_m: the same of the contact's place.
-        spent_s, left_s: time, in all runs, and the estimate of what is left.
-    """
+    """How far a training has come, in examples: root mean square errors of the commands and of the
+    contact's place since the last report, the time in all runs, and what is left by estimate."""
 
     done: int
     count: int
@@ -107,11 +100,7 @@ class PolicyTraining:
     """One network being trained.
 
     Args:
-        examples: to train on.
-        path_count: how many paths.
-        recipe: how.
         seed: of the first weights and of all that is drawn.
-        key: of this training's data.
         checkpoint: file of the state; an interrupted run resumes from it.
         start: weights to begin with, in place of random ones, and the file that they are of.
 
@@ -246,10 +235,6 @@ class PolicyTraining:
         self._step, self._spent_s = int(state["step"]), float(state["spent_s"])
 
 
-_ENTRIES = ("key", "network", "averaged", "optimiser", "step", "spent_s")
-"""Of a checkpoint."""
-
-
 def judge(
     network: PolicyResNet, examples: PolicyExamples, paths: Sequence[str]
 ) -> dict[str, float]:
@@ -257,10 +242,9 @@ def judge(
     (m/s) where the indenter is within a millimetre of the path, and the median error of the
     contact's place, sideways and in depth (m)."""
     commands, place = [], []
+    count = len(examples.frames)
     with torch.inference_mode():
-        for numbers in np.array_split(
-            np.arange(len(examples.frames)), max(1, len(examples.frames) // 32)
-        ):
+        for numbers in np.array_split(np.arange(count), max(1, count // 32)):
             given = np.stack([examples.input(int(number)) for number in numbers])
             answered, found = network.with_place(torch.from_numpy(given))
             commands.append((answered * network.unit).numpy())
@@ -308,12 +292,7 @@ def train_policy(
     """Train a policy on demonstrations and write it, with a report.
 
     Args:
-        folders: of demonstrations.
-        out: folder of the policy.
         record: folder of the training's state and report.
-        name: of the policy.
-        recipe: how.
-        seed: of the first weights and of what is drawn.
         progress: called every few thousand examples.
         start: a checkpoint whose weights to begin with; None for random ones.
 

@@ -19,10 +19,9 @@ from dotsim_ros.control.arm.command import (
     CommandInterpolator,
     CommandPredictor,
     Twist,
-    approached,
     in_base_axes,
-    righting_rate,
-    within_speed,
+    shortened,
+    turn_between,
     zero_twist,
 )
 from dotsim_ros.control.safety_layer.limits import Readings, Reason, SafetyLimits, State
@@ -39,11 +38,9 @@ class ControlSettings:
     Attributes:
         along_tool: the axes of the commands are those of the tool, else those of the base.
         interpolates: go from each of the policy's commands to the next on a line.
-        period_s: between the policy's commands.
         lead_s: how much later than its image a command takes effect; see `CommandPredictor`.
         righting_gain_per_s: rate back to the orientation at which the loop was enabled, for each
             radian; 0: the policy alone turns the tool.
-        righting_limit_rad_s: the fastest of that.
     """
 
     along_tool: bool = True
@@ -72,12 +69,7 @@ class Order:
 
 
 class ArmControl:
-    """Turns the policy's commands and what is known of the arm into orders; for any threads.
-
-    Args:
-        limits: what the arm may do.
-        settings: how commands are given.
-    """
+    """Turns the policy's commands and what is known of the arm into orders; for any threads."""
 
     def __init__(self, limits: SafetyLimits, settings: ControlSettings) -> None:
         self.limits = limits
@@ -119,7 +111,6 @@ class ArmControl:
 
         Args:
             command: (6,) along the tool's axes.
-            now_s: the steady clock.
             image_s: when the image that it answers came.
 
         Returns:
@@ -173,13 +164,7 @@ class ArmControl:
             passed_s = min(passed_s, LONGEST_STEP_TICKS * limits.tick_s)
         else:
             target = zero_twist()
-        return approached(
-            self._twist,
-            target,
-            passed_s,
-            linear_m_s2=limits.linear_m_s2,
-            angular_rad_s2=limits.angular_rad_s2,
-        )
+        return limits.approached(self._twist, target, passed_s)
 
     def _target(self, readings: Readings, state: State) -> Twist:
         assert readings.tool is not None
@@ -192,15 +177,9 @@ class ArmControl:
             target = interpolated if settings.interpolates else self._policy_command.copy()
             home = self._supervisor.home
             assert home is not None
-            target[ANGULAR] += righting_rate(
-                readings.tool,
-                home,
-                gain_per_s=settings.righting_gain_per_s,
-                limit_rad_s=settings.righting_limit_rad_s,
-            )
-        target = within_speed(
-            target, linear_m_s=self.limits.linear_m_s, angular_rad_s=self.limits.angular_rad_s
-        )
+            turn = settings.righting_gain_per_s * turn_between(readings.tool, home)
+            target[ANGULAR] += shortened(turn, settings.righting_limit_rad_s)
+        target = self.limits.within_speed(target)
         return target if settings.along_tool else in_base_axes(target, readings.tool)
 
     def _along_base(self, twist: Twist, readings: Readings) -> Twist:

@@ -51,7 +51,6 @@ class StreamWatch:
     """Watches one stream; one thread may receive while others read.
 
     Args:
-        name: of the stream, for the reasons.
         jump_s: how far in the future a stamp may lie, and how far the machine's time may leave the
             steady clock from one message to the next.
 
@@ -77,7 +76,6 @@ class StreamWatch:
         After a jump the stream continues from the new stamp.
 
         Args:
-            stamp_ns: the message's.
             arrival_s: when it came, on the steady clock.
             clock_ns: the same on the clock that stamps are compared with.
         """

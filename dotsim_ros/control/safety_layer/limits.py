@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from dotsim_ros.control.arm.command import Twist, brake_time_s
+from dotsim_ros.control.arm.command import ToolLimits
 from dotsim_ros.control.safety_layer.freshness import StreamReading
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
@@ -50,14 +50,10 @@ class Reason(StrEnum):
 
 
 @dataclass(frozen=True)
-class SafetyLimits:
+class SafetyLimits(ToolLimits):
     """What the arm may do, and how old the data that it acts on may be.
 
     Attributes:
-        linear_m_s: fastest the tool moves.
-        angular_rad_s: fastest it turns.
-        linear_m_s2: most that its velocity changes a second.
-        angular_rad_s2: the same of its rate.
         stop_within_s: from the last message of a stream to a command of zero.
         tick_s: period of the control loop, which a stop may have to wait for.
         delay_s: oldest that a message may be when it comes, by its stamp.
@@ -67,8 +63,8 @@ class SafetyLimits:
         reaction_s: how long the arm continues before a command takes effect.
         force_n: force that the tool retreats above; infinite: the force is not looked at.
         release_n: force below which the retreat ends.
-        retreat_m_s: speed of the retreat, along -z of the tool.
-        retreat_m: furthest that it may go before it counts as failed.
+        retreat_m_s, retreat_m: speed of the retreat, along -z of the tool, and the furthest that
+            it may go before it counts as failed.
         resumes: whether a stop for old data ends by itself.
 
     Raises:
@@ -115,12 +111,6 @@ class SafetyLimits:
         """Return how long the arm takes to stand still from full speed."""
         return max(self.linear_m_s / self.linear_m_s2, self.angular_rad_s / self.angular_rad_s2)
 
-    def brake_time_s(self, command: Twist) -> float:
-        """Return how long the arm takes to stand still."""
-        return brake_time_s(
-            command, linear_m_s2=self.linear_m_s2, angular_rad_s2=self.angular_rad_s2
-        )
-
     def timeout_s(self, brake_s: float) -> float:
         """Return the age of a message at which braking must begin.
 
@@ -132,14 +122,8 @@ class SafetyLimits:
 
 @dataclass(frozen=True)
 class Readings:
-    """What is known at one tick of the control loop.
-
-    Attributes:
-        now_s: the steady clock.
-        image, pose, force: the streams.
-        tool: pose of the tool in the base, or None before the first.
-        force_n: size of the newest force.
-    """
+    """What is known at one tick of the control loop: the streams, the pose of the tool in the base
+    (None before the first) and the size of the newest force."""
 
     now_s: float
     image: StreamReading

@@ -23,15 +23,11 @@ ENABLE_PATIENCE_S = 0.25
 
 
 class Supervisor:
-    """The states of the loop. Not for several threads at once.
-
-    Args:
-        limits: what holds.
+    """The states of the loop, why it is not running, and the same in words, with the figures. Not
+    for several threads at once.
 
     Attributes:
-        state: at the moment.
-        reason: why it is not running.
-        detail: the same in words, with the figures.
+        home: the pose at which the loop was enabled last.
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
@@ -39,34 +35,22 @@ class Supervisor:
         self.state = State.DISABLED
         self.reason = Reason.NONE
         self.detail = ""
-        self._home: Pose | None = None
+        self.home: Pose | None = None
         self._hindered_s = -np.inf
         self._retreat_start_m = np.zeros(3)
-
-    @property
-    def home(self) -> Pose | None:
-        """Return the pose at which the loop was enabled last."""
-        return self._home
-
-    def obstacle(self, readings: Readings) -> str:
-        """Return why the loop cannot be enabled now; empty where it can."""
-        reason, detail = self._old_data(readings, ENABLE_PATIENCE_S)
-        if reason is not Reason.NONE:
-            return detail
-        if readings.force_n > self.limits.release_n:
-            return f"the force is {readings.force_n:.2f} N already: lift the tool"
-        return ""
 
     def enable(self, readings: Readings) -> None:
         """Start at the present pose; forgets what was latched.
 
         Raises:
-            ValueError: there is an obstacle; the state stays.
+            ValueError: something hinders it; the state stays.
         """
-        obstacle = self.obstacle(readings)
-        if obstacle or readings.tool is None:
-            raise ValueError(obstacle)
-        self._home = readings.tool
+        reason, detail = self._old_data(readings, ENABLE_PATIENCE_S)
+        if reason is not Reason.NONE or readings.tool is None:
+            raise ValueError(detail)
+        if readings.force_n > self.limits.release_n:
+            raise ValueError(f"the force is {readings.force_n:.2f} N already: lift the tool")
+        self.home = readings.tool
         self._hindered_s = readings.now_s
         self._enter(State.STARTING)
 
@@ -83,7 +67,6 @@ class Supervisor:
         """Return what to do in this tick.
 
         Args:
-            readings: what is known.
             command: (6,) the command in force, for the time that the arm needs to stop.
             command_age_s: since the policy gave its newest command.
         """
@@ -114,10 +97,9 @@ class Supervisor:
         """Latch where a command would lead out of the workspace; return whether it may be given.
 
         Args:
-            readings: what is known.
             command: (6,) along the base's axes.
         """
-        tool, home = readings.tool, self._home
+        tool, home = readings.tool, self.home
         assert tool is not None
         assert home is not None
         velocity = command[LINEAR]
@@ -209,7 +191,7 @@ class Supervisor:
             )
 
     def _check_place(self, readings: Readings) -> None:
-        tool, home = readings.tool, self._home
+        tool, home = readings.tool, self.home
         assert tool is not None
         assert home is not None
         away_m = np.abs(tool.position_m - home.position_m)

@@ -17,6 +17,11 @@ KEPT = 15000
 TOLD_MISS_S = 0.04
 
 
+def milliseconds(*values_s: float) -> str:
+    """Return times for the diagnostics."""
+    return ", ".join(f"{1e3 * value_s:.1f}" for value_s in values_s)
+
+
 class RateMeter:
     """Events a second over the last seconds; one thread may note while another reads."""
 

@@ -21,8 +21,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-import msg_adapters
-from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording
+from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording, recording_of
 from dotsim_ros.control.policy.paths import DomeContact
 from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.geometry.pose import Pose
@@ -30,13 +29,7 @@ from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.documents import read_yaml
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.processes import NodeProcess
-from dotsim_ros.nodes.loop.loop_time import (
-    REALTIME,
-    SIMULATED,
-    LoopTime,
-    RealTime,
-    SteppedTime,
-)
+from dotsim_ros.nodes.loop.loop_time import REALTIME, SIMULATED, RealTime, SteppedTime
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
 from dotsim_ros.nodes.simulated_time.participants import Participant
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
@@ -67,10 +60,7 @@ class LoopSetup:
 
     Attributes:
         policy: folder of the policy, or a name below params/policies.
-        sensor: name or file of the simulated sensor.
-        policy_parameters, sensor_parameters, arm_parameters: of the nodes.
         policy_code: Python code to run in place of the policy's module.
-        stepping: how simulated time goes.
         one_process: arm, sensor and policy run in one process; then only `start` starts them.
     """
 
@@ -117,12 +107,7 @@ class LoopFault(StrEnum):
 
 @dataclass(frozen=True)
 class TimedFault:
-    """Something that fails.
-
-    Attributes:
-        at_s: when, in seconds since the loop is led.
-        fault: what.
-    """
+    """Something that fails at a time, in seconds since the loop is led."""
 
     at_s: float
     fault: LoopFault
@@ -136,15 +121,12 @@ class ClosedLoop:
     """The processes of a loop and what they are observed by; a context manager.
 
     Args:
-        setup: parameters of the nodes.
+        setup: parameters of the nodes; may be replaced between two starts.
+        contact: of the ball on the dome.
         topics: what to keep of what they publish.
         clock: SIMULATED, in steps that all nodes take together, or REALTIME.
 
     Attributes:
-        setup: the present one.
-        observer: receives messages and calls services.
-        contact: of the ball on the dome.
-        time: how the loop's time passes.
         led_speed_factor: seconds of the loop's time for each real one, while the policy led last.
     """
 
@@ -164,12 +146,8 @@ class ClosedLoop:
         self._others: dict[str, Participant] = {}
         self._indenter = self.places.indenter(FAR_M)
         self.observer = LoopObserver(topics, is_stepped=clock == SIMULATED)
-        self.time: LoopTime = (
-            SteppedTime(
-                self.observer,
-                settings=setup.stepping,
-                diagnostics_period_s=DIAGNOSTICS_PERIOD_S,
-            )
+        self.time: RealTime | SteppedTime = (
+            SteppedTime(self.observer, setup.stepping, DIAGNOSTICS_PERIOD_S)
             if clock == SIMULATED
             else RealTime(self.observer)
         )
@@ -193,65 +171,47 @@ class ClosedLoop:
 
     def start_sensor(self) -> None:
         """Start the sensor, or another one in place of the one that runs."""
-        self._launch_sensor()
-        self._await(SENSOR)
-        self._expect()
+        self._start((SENSOR,))
 
     def start_policy(self, path: str) -> None:
         """Start the policy for a path, in place of the one that runs, and show it the sensor at
         rest."""
-        self._launch_policy(path)
-        self._await(POLICY)
-        self._expect()
-        self.rest()
-        self.calibrate_idle()
-
-    def start(self, path: str, *, order: Sequence[str] = (ARM, SENSOR, POLICY)) -> None:
-        """Start all nodes at once, and show the policy the sensor at rest.
-
-        Args:
-            path: that the policy follows.
-            order: of the starts.
-        """
-        if self.setup.one_process:
-            self._start_composed(path)
-            return
-        launches = {
-            ARM: lambda: self._launch(ARM, self.setup.arm_parameters),
-            SENSOR: self._launch_sensor,
-            POLICY: lambda: self._launch_policy(path),
-        }
-        for executable in order:
-            launches[executable]()
-        for executable in (ARM, SENSOR, POLICY):
-            self._await(executable)
-        self._expect()
-        self.rest()
-        self.calibrate_idle()
-
-    def _start_composed(self, path: str) -> None:
-        given = {
-            ARM: self.setup.arm_parameters,
-            SENSOR: self._sensor_parameters(),
-            POLICY: self._policy_parameters(path),
-        }
-        parameters = {
-            f"{node}:{name}": value
-            for node, values in given.items()
-            for name, value in values.items()
-        }
-        self._launch(COMPOSED, parameters, remap=("-r", f"{POLICY}:~/cmd_vel:=cmd_vel"))
-        for executable in given:
-            self._await(COMPOSED, f"[{executable}]: ready:")
-        self._expect()
+        self._start((POLICY,), path)
         self.rest()
         self.calibrate_idle()
 
     def start_stand_ins(self) -> None:
         """Start the arm and the sensor, for a controller of the user's."""
-        self._launch(ARM, self.setup.arm_parameters)
-        self._launch_sensor()
-        for executable in (ARM, SENSOR):
+        self._start((ARM, SENSOR))
+
+    def start(self, path: str, *, order: Sequence[str] = (ARM, SENSOR, POLICY)) -> None:
+        """Start all nodes at once in an order, the policy for a path, and show it the sensor at
+        rest."""
+        if self.setup.one_process:
+            parameters = {
+                f"{node}:{name}": value
+                for node in order
+                for name, value in self._parameters(node, path).items()
+            }
+            self._launch(COMPOSED, parameters, remap=f"{POLICY}:~/cmd_vel:=cmd_vel")
+            for executable in order:
+                self._await(COMPOSED, f"[{executable}]: ready:")
+            self._expect()
+        else:
+            self._start(order, path)
+        self.rest()
+        self.calibrate_idle()
+
+    def _start(self, executables: Sequence[str], path: str = "") -> None:
+        for executable in executables:
+            is_policy = executable == POLICY
+            self._launch(
+                executable,
+                self._parameters(executable, path),
+                remap="~/cmd_vel:=cmd_vel" if is_policy else "",
+                code=self.setup.policy_code if is_policy else "",
+            )
+        for executable in executables:
             self._await(executable)
         self._expect()
 
@@ -286,40 +246,32 @@ class ClosedLoop:
         self.set_arm(fail_drop_feedback=False, fail_delay_s=0.0, fail_stop=False)
         self._trigger(f"{ARM}/reset")
 
-    def _sensor_parameters(self) -> dict[str, Any]:
-        return {"sensor": self.setup.sensor, **self.setup.sensor_parameters}
-
-    def _policy_parameters(self, path: str) -> dict[str, Any]:
+    def _parameters(self, executable: str, path: str) -> Mapping[str, Any]:
+        setup = self.setup
+        if executable == ARM:
+            return setup.arm_parameters
+        if executable == SENSOR:
+            return {"sensor": setup.sensor, **setup.sensor_parameters}
         return {
-            "policy": self.setup.policy,
+            "policy": setup.policy,
             "path": path,
             "diagnostics_period_s": DIAGNOSTICS_PERIOD_S,
-            **self.setup.policy_parameters,
+            **setup.policy_parameters,
         }
 
-    def _launch_sensor(self) -> None:
-        self._launch(SENSOR, self._sensor_parameters())
-
-    def _launch_policy(self, path: str) -> None:
-        remap = ("-r", "~/cmd_vel:=cmd_vel")
-        self._launch(
-            POLICY, self._policy_parameters(path), remap=remap, code=self.setup.policy_code
-        )
-
     def _launch(
-        self,
-        executable: str,
-        parameters: Mapping[str, Any],
-        *,
-        remap: tuple[str, ...] = (),
-        code: str = "",
+        self, executable: str, parameters: Mapping[str, Any], *, remap: str = "", code: str = ""
     ) -> None:
         self.stop(executable)
         self.observer.diagnostics.clear()
         self._processes[executable] = NodeProcess(
             executable,
             {**parameters, **self.time.parameters},
-            arguments=("--params-file", str(parameter_path("closed_loop.yaml")), *remap),
+            arguments=(
+                "--params-file",
+                str(parameter_path("closed_loop.yaml")),
+                *(("-r", remap) if remap else ()),
+            ),
             code=code,
         )
 
@@ -536,28 +488,9 @@ class ClosedLoop:
 
     def recording(self, notes: Mapping[str, Any]) -> LoopRecording:
         """Return what has been received since the observer was last cleared."""
-        heard = {name: self.observer.heard(name) for name in LOOP_TOPICS}
-        times = {
-            name: np.array(
-                [1e-9 * msg_adapters.message_stamp_ns(each.message) for each in messages]
-            )
-            for name, messages in heard.items()
-        }
-
-        def rows(name: str, decode: Callable[[Any], Any], width: int) -> FloatArray:
-            return np.reshape(
-                [np.concatenate(decode(each.message)) for each in heard[name]], (-1, width)
-            )
-
-        return LoopRecording(
-            pose_s=times["ee_pose"],
-            pose=rows("ee_pose", msg_adapters.decode_pose_stamped, 7),
-            twist_s=times["ee_twist"],
-            twist=rows("ee_twist", msg_adapters.decode_twist_stamped, 6),
-            command_s=times["cmd_vel"],
-            command=rows("cmd_vel", msg_adapters.decode_twist_stamped, 6),
-            frame_s=times["wrench"],
-            force_n=rows("wrench", msg_adapters.decode_wrench_stamped, 6)[:, :3],
+        heard = {name: [each.message for each in self.observer.heard(name)] for name in LOOP_TOPICS}
+        return recording_of(
+            heard,
             indenter=self._indenter,
             tool_from_sensor=self.places.tool_from_sensor,
             notes=notes,

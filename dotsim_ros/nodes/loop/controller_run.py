@@ -45,7 +45,6 @@ class Controller:
     """A node under test.
 
     Attributes:
-        name: of the node.
         command: program and arguments that start it; ROS arguments are added.
         reads: topics that it reads.
         publishes: when it publishes on which topic: what simulated time waits for.
@@ -66,8 +65,6 @@ class ControllerRun:
     """What a controller did.
 
     Attributes:
-        recording: poses, velocities, commands and forces, by their stamps.
-        path: that it was to follow.
         begun_s: the stamp at which it began.
         time_s, place_m: (N,) and (N, 3) where the indenter was in the sensor's frame, whatever
             the arm told its controller.
@@ -121,11 +118,9 @@ class ControllerLoop:
     """The stand-ins, and the controller again for each run; a context manager.
 
     Args:
-        controller: under test.
         path: that it is to follow: line, arc, figure_eight or press.
         sensor: name or file of the simulated sensor, a dome; the paths are those on it.
         sensor_parameters, arm_parameters: of tactile_sim and xarm_sim.
-        stepping: how simulated time goes.
 
     Raises:
         ValueError: the sensor is no dome, or its indenter no ball.
@@ -174,7 +169,6 @@ class ControllerLoop:
 
         Args:
             seconds: of simulated time.
-            faults: what fails meanwhile.
             seed: of where on the path, and how far next to it, it begins.
 
         Raises:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.loop.observer import PATIENCE_S, LoopObserver
@@ -21,52 +21,8 @@ POLL_S = 0.02
 STEPPED_POLL_S = 0.04
 
 
-class LoopTime(Protocol):
-    """What a loop asks of its time.
-
-    Attributes:
-        parameters: that the loop's nodes need for it.
-    """
-
-    parameters: Mapping[str, Any]
-
-    def expect(self, nodes: Mapping[str, Participant]) -> None:
-        """Let these nodes take part from now on."""
-
-    def now_ns(self) -> int:
-        """Return the time that messages are stamped with."""
-        ...
-
-    def go(self, seconds: float) -> None:
-        """Let time pass."""
-
-    def wait(self, is_reached: Callable[[], Any], what: str) -> None:
-        """Let time pass until something holds.
-
-        Raises:
-            OSError: it does not for too long.
-        """
-
-    def wait_for_line(self, process: NodeProcess, text: str, timeout_s: float) -> None:
-        """Wait until a node that has just begun to listen says that it hears; time goes on.
-
-        Raises:
-            OSError: it does not.
-        """
-
-    def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
-        """Let time pass, less where the diagnostics of a part of a node say that it is over."""
-
-    def resubscribe(self, part: str) -> None:
-        """Wait for diagnostics of a part of a node that are newer than now."""
-
-
 class RealTime:
-    """Time passes by itself.
-
-    Args:
-        observer: of the loop.
-    """
+    """Time passes by itself."""
 
     parameters: Mapping[str, Any] = {}
 
@@ -85,21 +41,29 @@ class RealTime:
         time.sleep(seconds)
 
     def wait(self, is_reached: Callable[[], Any], what: str) -> None:
-        """See `LoopTime.wait`."""
+        """Let time pass until something holds.
+
+        Raises:
+            OSError: it does not for too long.
+        """
         self._observer.wait(is_reached, what)
 
     def wait_for_line(self, process: NodeProcess, text: str, timeout_s: float) -> None:
-        """See `LoopTime.wait_for_line`."""
+        """Wait until a node that has just begun to listen says that it hears.
+
+        Raises:
+            OSError: it does not.
+        """
         process.wait_for_line(text, timeout_s=timeout_s)
 
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
-        """See `LoopTime.watch`."""
+        """Let time pass, less where it is over, which the diagnostics of a part of a node say."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s and not is_over():
             time.sleep(POLL_S)
 
     def resubscribe(self, part: str) -> None:
-        """See `LoopTime.resubscribe`."""
+        """Wait for diagnostics of a part of a node that are newer than now."""
         before = self._observer.diagnostics.get(part)
         self._observer.wait(
             lambda: self._observer.diagnostics.get(part) is not before, f"diagnostics of {part}"
@@ -107,32 +71,20 @@ class RealTime:
 
 
 class SteppedTime:
-    """Time passes in steps that all nodes take together, and stands between two calls.
-
-    Args:
-        observer: of the loop; takes part.
-        settings: of the steps.
-        diagnostics_period_s: of the nodes that are asked for theirs.
-
-    Attributes:
-        stepper: what moves the time on.
-    """
+    """Time passes in steps that all nodes and the observer take together, and stands between two
+    calls; the methods are those of `RealTime`."""
 
     parameters: Mapping[str, Any] = {"use_sim_time": True, "stepped": True}
 
     def __init__(
-        self,
-        observer: LoopObserver,
-        *,
-        settings: StepperSettings,
-        diagnostics_period_s: float,
+        self, observer: LoopObserver, settings: StepperSettings, diagnostics_period_s: float
     ) -> None:
         self._observer = observer
         self._diagnostics_period_s = diagnostics_period_s
         self.stepper = Stepper(observer.beside, {}, settings)
 
     def expect(self, nodes: Mapping[str, Participant]) -> None:
-        """See `LoopTime.expect`."""
+        """Let these nodes take part from now on."""
         self.stepper.expect({**nodes, self._observer.node.get_name(): Participant()})
 
     def now_ns(self) -> int:
@@ -144,7 +96,7 @@ class SteppedTime:
         self.stepper.advance(seconds)
 
     def wait(self, is_reached: Callable[[], Any], what: str) -> None:
-        """See `LoopTime.wait`; the longest wait is of simulated time."""
+        """Let time pass until something holds; the longest wait is of simulated time."""
         end_ns = self.stepper.time_ns + PATIENCE_S * NANOSECONDS_PER_SECOND
         while not is_reached():
             if self.stepper.time_ns > end_ns:
@@ -156,7 +108,7 @@ class SteppedTime:
         until a line was read would depend on the machine."""
 
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
-        """See `LoopTime.watch`; the time is rounded to whole steps."""
+        """Let time pass, rounded to whole steps, less where it is over."""
         steps = round(seconds * NANOSECONDS_PER_SECOND / self.stepper.period_ns)
         end_ns = self.stepper.time_ns + steps * self.stepper.period_ns
         while (left_ns := end_ns - self.stepper.time_ns) > 0 and not is_over():
@@ -167,7 +119,7 @@ class SteppedTime:
                 self._hear_after(part, since_ns)
 
     def resubscribe(self, part: str) -> None:
-        """See `LoopTime.resubscribe`."""
+        """Wait for diagnostics of a part of a node that are newer than now."""
         since_ns = self.stepper.time_ns
         self.go(self._diagnostics_period_s)
         self._hear_after(part, since_ns)

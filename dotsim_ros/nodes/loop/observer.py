@@ -41,12 +41,7 @@ PATIENCE_S = 30.0
 
 @dataclass(frozen=True)
 class LoopTraffic:
-    """A message as it came.
-
-    Attributes:
-        message: unpacked.
-        sent_ns, received_ns: when the middleware sent and received it, system clock.
-    """
+    """A message, unpacked, and when the middleware sent and received it, by the system clock."""
 
     message: Any
     sent_ns: int
@@ -57,14 +52,12 @@ class LoopObserver:
     """A node next to the loop.
 
     Args:
-        topics: what to keep, by relative name.
         is_stepped: take part in the steps of simulated time: nothing is heard between two.
 
     Attributes:
         node: the node, for publishers of one's own.
-        next to: a second node, which never takes part in steps.
+        beside: a second node, which never takes part in steps.
         diagnostics: the newest status of each part of each node, by name.
-        diagnostics_ns: the stamp of each.
     """
 
     def __init__(

@@ -38,7 +38,6 @@ class Latency:
     Args:
         quantiles_s: of the delay, evenly spaced from the smallest to the largest; between two of
             them every delay is equally likely. One number: that delay, always.
-        seed: of the draws.
 
     Raises:
         ValueError: see `check_quantiles`.

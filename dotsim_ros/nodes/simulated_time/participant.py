@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -32,25 +32,6 @@ from msg_adapters import serialized_stamp_ns
 Hear = Callable[[], None]
 
 
-class CountedPublisher(Protocol):
-    """A publisher that knows how many messages it has sent.
-
-    Attributes:
-        sent: as many.
-    """
-
-    sent: int
-
-    @property
-    def topic_name(self) -> str:
-        """Return the topic, resolved."""
-        ...
-
-    def get_subscription_count(self) -> int:
-        """Return how many subscriptions hear this."""
-        ...
-
-
 class StepParticipant:
     """Answers the stepper for a node.
 
@@ -63,7 +44,7 @@ class StepParticipant:
         self._node, self._go = node, go
         self._life = uuid.uuid4().hex
         self._name = node.get_fully_qualified_name()
-        self._publishers: dict[str, CountedPublisher] = {}
+        self._publishers: dict[str, Any] = {}
         self._told: dict[str, int] = {}
         self._subscriptions: dict[str, Any] = {}
         self._newest: dict[str, int] = {}
@@ -74,8 +55,8 @@ class StepParticipant:
         self._answers = Node.create_publisher(node, String, ANSWER_TOPIC, PROTOCOL_QOS)
         Node.create_subscription(node, String, STEP_TOPIC, self._on_step, PROTOCOL_QOS)
 
-    def watch(self, publisher: CountedPublisher) -> None:
-        """Tell the stepper of what this publisher sends."""
+    def watch(self, publisher: Any) -> None:
+        """Report to the stepper how many messages (`sent`) a `LocalPublisher` has sent."""
         self._publishers[publisher.topic_name] = publisher
 
     def read(self, subscription: Any) -> None:
@@ -94,10 +75,7 @@ class StepParticipant:
         """Keep a message until the next step.
 
         Args:
-            topic: resolved.
             number: of the message among those of its publisher, from 1.
-            stamp_ns: of its header, 0 where it has none.
-            hear: hands it to the node.
 
         Raises:
             ValueError: the middleware does not number messages.
@@ -169,26 +147,18 @@ class StepParticipant:
         return changed
 
     def _answer_call(self, time_ns: int) -> None:
-        self._answers.publish(
-            encode_answer(
-                Answer(
-                    time_ns,
-                    Kind.PRESENT,
-                    self._name,
-                    self._life,
-                    sent={topic: each.sent for topic, each in self._publishers.items()},
-                    readers={
-                        topic: each.get_subscription_count()
-                        for topic, each in self._publishers.items()
-                    },
-                    read={
-                        topic: each.get_publisher_count()
-                        for topic, each in self._subscriptions.items()
-                    },
-                    waits=self._waits(),
-                )
-            )
+        publishers, subscriptions = self._publishers.items(), self._subscriptions.items()
+        answer = Answer(
+            time_ns,
+            Kind.PRESENT,
+            self._name,
+            self._life,
+            sent={topic: each.sent for topic, each in publishers},
+            readers={topic: each.get_subscription_count() for topic, each in publishers},
+            read={topic: each.get_publisher_count() for topic, each in subscriptions},
+            waits=self._waits(),
         )
+        self._answers.publish(encode_answer(answer))
 
 
 def stamp_of(message: Any) -> int:

@@ -41,12 +41,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Sent:
-    """How many messages a publisher has sent on a topic.
-
-    Attributes:
-        publisher: the life of the node that sends; another one after a restart.
-        count: since it began.
-    """
+    """How many messages a publisher, the life of a node, has sent on a topic since it began."""
 
     publisher: str
     count: int
@@ -54,13 +49,8 @@ class Sent:
 
 @dataclass(frozen=True)
 class Step:
-    """What the stepper says.
-
-    Attributes:
-        time_ns: where to go; for a call, where the time is.
-        kind: CALL or STEP.
-        sent: by topic, what has changed since the step before.
-    """
+    """What the stepper says: the time to go to or, for a call, where it is; and by topic, what has
+    been sent since the step before."""
 
     time_ns: int
     kind: Kind
@@ -72,10 +62,8 @@ class Answer:
     """What a participant says.
 
     Attributes:
-        time_ns: where it is.
         kind: PRESENT, the answer to a call, or DONE.
-        name: of the node, with its namespace.
-        life: of the node.
+        name, life: of the node, with its namespace.
         sent: messages by topic; for DONE those that have changed.
         readers: for PRESENT, how many readers each of its topics is connected to.
         read: for PRESENT, how many writers each topic that it reads is connected to.

@@ -26,15 +26,11 @@ class PublicationWatch:
     """What has come on one topic.
 
     Args:
-        node: for the subscription.
-        topic: resolved.
         owner: full name of the node that publishes on it.
-        publication: when it does.
         changed: notified, and held, when something has come.
         now_ns: returns the simulated time.
 
     Attributes:
-        owner, publication: as given.
         sent: what the owner has sent.
         fault: why what comes is of no use; empty for nothing.
     """
@@ -102,20 +98,13 @@ class PublicationWatch:
         return f"{self._topic} of {name} is not connected yet"
 
     def begin(self, asked: int) -> None:
-        """Take what has come so far as the state to begin with.
-
-        Args:
-            asked: how many messages have been sent on the topic that the owner answers.
-        """
+        """Take what has come so far as the state to begin with; so many messages have been sent on
+        the topic that the owner answers."""
         self._received, self._replied_to, self.fault = 0, asked, ""
         self._begun_ns = self._now_ns()
 
     def is_late(self, asked: int) -> bool:
-        """Return whether something is missing that should have come by now.
-
-        Args:
-            asked: as of `begin`.
-        """
+        """Return whether something is missing that should have come by now; see `begin`."""
         if self.publication.for_each:
             return self._received < asked - self._replied_to
         every_ns = round(self.publication.every_s * NANOSECONDS_PER_SECOND)

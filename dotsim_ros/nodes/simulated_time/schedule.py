@@ -37,12 +37,7 @@ class PacedWork(Protocol):
 
 @dataclass(frozen=True)
 class PeriodicWork:
-    """Work at the deadlines of a pace that may be replaced meanwhile.
-
-    Attributes:
-        pace: gives the `FramePace`; asked each time.
-        act: the work of one period.
-    """
+    """Work at the deadlines of a `FramePace` that may be replaced meanwhile."""
 
     pace: Callable[[], Any]
     act: Callable[[], None]

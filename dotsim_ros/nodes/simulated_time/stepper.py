@@ -37,7 +37,6 @@ from dotsim_ros.nodes.simulated_time.protocol import (
     encode_step,
 )
 from dotsim_ros.nodes.simulated_time.publication_watch import PublicationWatch
-from dotsim_ros.nodes.simulated_time.speed_limit import SpeedLimit
 
 CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 CALL_EVERY_S = 0.1
@@ -45,6 +44,8 @@ LOOK_EVERY_S = 0.5
 TELL_AFTER_S = 2.0
 CALM_ROUNDS = 2
 """In which all are there and connected, before time is told, and one more before it begins."""
+LARGEST_LAG_S = 0.1
+"""What is behind by more is not made up for: time would run too fast afterwards."""
 
 
 class SteppingError(OSError):
@@ -56,7 +57,6 @@ class StepperSettings:
     """How time goes.
 
     Attributes:
-        period_s: of a step.
         start_s: the first time; above zero, which means no time.
         speed: simulated seconds for each real one; 0: as many as the machine gives.
         patience_s: how long a participant may take for one step, or to come.
@@ -68,20 +68,36 @@ class StepperSettings:
     patience_s: float = 120.0
 
 
+class SpeedLimit:
+    """Keeps simulated time from running ahead of real time.
+
+    Args:
+        speed: simulated seconds for each real one; 0: no limit.
+        now_s: real time at which the simulated one begins to run.
+    """
+
+    def __init__(self, speed: float, *, now_s: float) -> None:
+        self._speed = speed
+        self._due_s = now_s
+
+    def delay_s(self, simulated_s: float, now_s: float) -> float:
+        """Return how long to wait before time may go on."""
+        if self._speed == 0.0:
+            return 0.0
+        self._due_s = max(self._due_s + simulated_s / self._speed, now_s - LARGEST_LAG_S)
+        return max(0.0, self._due_s - now_s)
+
+
 class Stepper:
     """Steps the participants of one session; `join`, `step`, `advance` from one thread of the
     user's.
 
     Args:
         node: for its topics; somebody spins it in another thread.
-        participants: whom time waits for, by name.
-        settings: how time goes.
 
     Attributes:
-        period_ns: of a step.
         time_ns: where the participants are.
         waiting_for: what `join` or a step has been waiting for, for a moment or longer, in words.
-        speed_factor: simulated seconds for each real one, over the last `advance`.
     """
 
     def __init__(
@@ -94,7 +110,6 @@ class Stepper:
             raise ValueError(f"the step is {settings.period_s:g} s, expected more than 0")
         self.time_ns = round(settings.start_s * NANOSECONDS_PER_SECOND)
         self.waiting_for = ""
-        self.speed_factor = 0.0
         self._changed = Condition()
         self._present: dict[str, Answer] = {}
         self._lives: dict[str, set[str]] = {}
@@ -202,7 +217,6 @@ class Stepper:
         """Take all participants on by a time, a whole number of steps.
 
         Args:
-            duration_s: of the simulated time.
             progress: called after each step with the share that is done.
 
         Raises:
@@ -210,14 +224,11 @@ class Stepper:
         """
         if not self._is_joined:
             self.join()
-        begun_s = time.monotonic()
-        limit = SpeedLimit(self.settings.speed, now_s=begun_s)
+        limit = SpeedLimit(self.settings.speed, now_s=time.monotonic())
         count = round(duration_s * NANOSECONDS_PER_SECOND / self.period_ns)
         for index in range(count):
             self.step()
             time.sleep(limit.delay_s(self.settings.period_s, time.monotonic()))
-            simulated_s = (index + 1) * self.settings.period_s
-            self.speed_factor = simulated_s / max(time.monotonic() - begun_s, 1e-9)
             if progress is not None:
                 progress((index + 1) / count)
 

@@ -24,6 +24,8 @@ from dotsim_ros.control.safety_layer.freshness import HeardMessage, StreamWatch
 from dotsim_ros.control.safety_layer.limits import Readings, Reason
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.documents import value_text
+from dotsim_ros.nodes.common.counters import milliseconds
+from dotsim_ros.nodes.common.health import Report
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.reasons import reason_of
 from dotsim_ros.nodes.tactile_policy.parameters import (
@@ -31,21 +33,22 @@ from dotsim_ros.nodes.tactile_policy.parameters import (
     RAW,
     TactilePolicyParameters,
 )
+from msg_adapters import Level
 
 # Best effort loses images between processes; of several that wait, only the newest counts.
 IMAGE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 STATE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 
+NO_FORCE_LIMIT = "force_limit_n is 0: nothing limits the force"
+NO_FORCE = (
+    "no force has come on the topic wrench: the arm does not move without; for a sensor that "
+    "measures none set force_limit_n to 0"
+)
+
 
 @dataclass(frozen=True)
 class HeardImage:
-    """An image as it came.
-
-    Attributes:
-        message: Image or CompressedImage.
-        stamp_ns: its time.
-        arrival_s: when it came, by the time that the node acts by.
-    """
+    """An Image or CompressedImage, its stamp, and when it came by the time of the node."""
 
     message: Any
     stamp_ns: int
@@ -72,8 +75,6 @@ class PolicyInputs:
     count, and the stream grows old.
 
     Args:
-        node: owns the subscriptions.
-        parameters: transport, limits.
         latch: takes a fault that stops the arm for good: reason and words.
 
     Attributes:
@@ -143,6 +144,24 @@ class PolicyInputs:
             self._came.wait_for(lambda: self._image is not last, left_s)
             return None if self._image is last else self._image
 
+    def report(self, now_s: float) -> Report:
+        """Return the state of the inputs, for the diagnostics."""
+        values: dict[str, str] = {}
+        for watch in (self.image, self.pose, self.force):
+            reading = watch.reading(now_s)
+            values |= {
+                f"{watch.name}_count": str(watch.count),
+                f"{watch.name}_repeated": str(watch.repeated),
+                f"{watch.name}_age_ms": milliseconds(reading.age_s),
+                f"{watch.name}_delay_ms": milliseconds(reading.delay_s),
+            }
+        values["refused"] = str(self.refused)
+        if not self.hears_force:
+            return Level.OK, f"listening; {NO_FORCE_LIMIT}", values
+        if not self.force.count:
+            return Level.WARN, NO_FORCE, values
+        return Level.OK, "listening", values
+
     def refuse(self, what: str, error: ValueError) -> None:
         """Count and log a message that cannot be used."""
         self.refused += 1
@@ -177,13 +196,8 @@ class PolicyInputs:
     def _take(
         self, watch: StreamWatch, stamp_ns: int, arrival_s: float, keep: Callable[[], None]
     ) -> None:
-        """Let a message that was checked count, and keep its content, if it holds anything new.
-
-        Args:
-            watch: of its stream.
-            stamp_ns, arrival_s: its times.
-            keep: latches where the content does not go with what came before, then keeps it.
-        """
+        """Let a message that was checked count, if it holds anything new: `keep` latches where its
+        content does not go with what came before, then keeps it."""
         clock_ns = self._node.time_ns()
         with self._lock:
             heard, why = watch.hear(stamp_ns, arrival_s=arrival_s, clock_ns=clock_ns)

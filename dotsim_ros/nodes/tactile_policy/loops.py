@@ -21,7 +21,9 @@ from dotsim_ros.control.arm.command import Twist
 from dotsim_ros.control.safety_layer.arm_control import ArmControl, Order
 from dotsim_ros.control.safety_layer.limits import Reason, State
 from dotsim_ros.nodes.common.beat import Beat
-from dotsim_ros.nodes.common.counters import Miss, MissCounter, RateMeter, Spread
+from dotsim_ros.nodes.common.counters import Miss, MissCounter, RateMeter, Spread, milliseconds
+from dotsim_ros.nodes.common.health import Report
+from msg_adapters import Level
 
 if TYPE_CHECKING:
     from dotsim_ros.control.policy.network import Policy
@@ -30,17 +32,21 @@ if TYPE_CHECKING:
 WAIT_SHARE = 0.6
 """Share of a period that a cycle waits for an image that is not there at its deadline."""
 
+LEVELS = {
+    State.DISABLED: Level.OK,
+    State.STARTING: Level.OK,
+    State.RUNNING: Level.OK,
+    State.RETREATING: Level.WARN,
+    State.STOPPED: Level.WARN,
+    State.LATCHED: Level.ERROR,
+}
+
 
 @dataclass(frozen=True)
 class PolicyAnswer:
-    """What comes of asking the policy.
-
-    Attributes:
-        distance: of the image from those of the training; the last one where it is not known.
-        command: (6,) what the policy commands.
-        refused: why the image cannot be read.
-        fault: why the arm must stop for good.
-    """
+    """What comes of asking the policy: the distance of the image from those of the training (the
+    last one where it is not known), and the command (6,), why the image cannot be read, or why the
+    arm must stop for good."""
 
     distance: float
     command: Twist | None = None
@@ -52,14 +58,7 @@ class InferenceLoop:
     """Asks the policy once a cycle, with the newest image.
 
     Args:
-        policy: gives the commands.
         largest_distance: images less like those of the training are another sensor's.
-        inputs: the images.
-        control: takes the commands.
-        beat: the cycles.
-        now_s: the time that the node acts by.
-        wait: returns an image that is not the one given, or None: at a time, or at once where
-            waiting would not let it come.
         compute: does work, and hands over what comes out when it is there.
         report: called with a missed deadline that is worth a line in the log.
 
@@ -67,9 +66,7 @@ class InferenceLoop:
         idle: (H, W, 3) the image at rest, or None where it is not known.
         origin: the image that the newest command answers.
         distance: of the newest image from those of the training.
-        taken: commands that were taken.
         without_image: cycles in which no new image came.
-        rate, spent_s, misses: figures of the loop.
     """
 
     def __init__(
@@ -81,7 +78,6 @@ class InferenceLoop:
         control: ArmControl,
         beat: Beat,
         now_s: Callable[[], float],
-        wait: Callable[[HeardImage | None, float], HeardImage | None],
         compute: Callable[[Callable[[], PolicyAnswer], Callable[[PolicyAnswer], None]], None],
         report: Callable[[Miss], None],
     ) -> None:
@@ -91,7 +87,6 @@ class InferenceLoop:
         self._control = control
         self._beat = beat
         self._now_s = now_s
-        self._wait = wait
         self._compute = compute
         self._report = report
         self._index = 0
@@ -122,7 +117,7 @@ class InferenceLoop:
         deadline_s = beat.cycle_s(self._index)
         if self._control.wants_commands():
             until_s = deadline_s + WAIT_SHARE * beat.period_s
-            image = self._wait(self._last, until_s)
+            image = self._inputs.image_after(self._last, until_s)
             if image is None and (now_s := self._now_s()) < until_s:
                 self._look_s = min(now_s + beat.period_s / beat.ticks, until_s)
                 return
@@ -190,29 +185,48 @@ class InferenceLoop:
                 distance, fault=(Reason.POLICY_FAILED, f"the policy failed: {error!r}")
             )
 
+    def report(self, control: ControlLoop, now_s: float) -> Report:
+        """Return the state of the inference, for the diagnostics."""
+        arrival_s = control.arrival_age_s.percentiles(50.0, 99.0)
+        stamp_s = control.stamp_age_s.percentiles(50.0, 99.0)
+        values = {
+            "rate_hz": f"{self.rate.rate_hz(now_s):.2f}",
+            "commands": str(self.taken),
+            "cycles_without_image": str(self.without_image),
+            "time_p50_p95_p99_max_ms": milliseconds(
+                *self.spent_s.percentiles(50.0, 95.0, 99.0, 100.0)
+            ),
+            "image_age_at_command_p50_p99_ms": milliseconds(*stamp_s),
+            "image_age_since_arrival_p50_p99_ms": milliseconds(*arrival_s),
+            "image_distance": f"{self.distance:.2f}",
+            "largest_distance": f"{self.largest_distance:.2f}",
+            "deadline_misses": str(self.misses.count),
+            "deadline_misses_over_40_ms": str(self.misses.reported),
+            "latest_ms": milliseconds(self.misses.worst_s),
+        }
+        if self.idle is None:
+            return (
+                Level.WARN,
+                "no idle image: call calibrate_idle with the sensor untouched",
+                values,
+            )
+        return Level.OK, "ready", values
+
 
 class ControlLoop:
     """Publishes the orders: one a tick or one a cycle, and every one that stops the arm.
 
     Args:
-        control: gives the orders.
-        inputs: what is known of the arm.
-        inference: where the commands come from.
-        beat: the ticks.
         every_tick: publish at the rate of the ticks.
-        now_s: the time that the node acts by.
-        clock_ns: the time that stamps are of.
+        now_s, clock_ns: the time that the node acts by, and the one that stamps are of.
         publish: sends a command with its stamp.
         changed: called with each order of a new state or reason.
         report: called with a missed deadline that is worth a line in the log.
 
     Attributes:
-        order: the newest.
         stops: how often the arm was stopped, or retreated, by reason.
-        rate: of published commands.
-        ticks: of the loop.
+        rate, ticks, misses: of published commands, and of the loop.
         arrival_age_s, stamp_age_s: of the image that a new command answers, when it is published.
-        misses: of the ticks.
     """
 
     def __init__(
@@ -294,3 +308,24 @@ class ControlLoop:
             self.arrival_age_s.note(sent_s - origin.arrival_s)
             self.stamp_age_s.note(sent_s - now_s + 1e-9 * (stamp_ns - origin.stamp_ns))
         self._taken = taken
+
+    def report(self, now_s: float) -> Report:
+        """Return the state of the loop, for the diagnostics."""
+        order = self.order
+        if order is None:
+            return Level.OK, "not begun", {}
+        values = {
+            "state": order.state.value,
+            "reason": order.reason.value,
+            "stops": ", ".join(f"{reason} {count}" for reason, count in self.stops.copy().items())
+            or "none",
+            "command_rate_hz": f"{self.rate.rate_hz(now_s):.2f}",
+            "control_rate_hz": f"{self.ticks.rate_hz(now_s):.2f}",
+            "deadline_misses": str(self.misses.count),
+            "deadline_misses_over_40_ms": str(self.misses.reported),
+            "latest_ms": milliseconds(self.misses.worst_s),
+        }
+        message = f"{order.state.value}: {order.detail}" if order.detail else order.state.value
+        if order.state is State.LATCHED:
+            message += "; call set_enabled once it is safe"
+        return LEVELS[order.state], message, values

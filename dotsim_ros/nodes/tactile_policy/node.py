@@ -32,13 +32,13 @@ from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import Miss
 from dotsim_ros.nodes.common.declare import declare
+from dotsim_ros.nodes.common.health import statuses_of
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.priority import take_priority
 from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
-from dotsim_ros.nodes.tactile_policy.health import NO_FORCE, NO_FORCE_LIMIT, statuses
-from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
+from dotsim_ros.nodes.tactile_policy.inputs import NO_FORCE, NO_FORCE_LIMIT, PolicyInputs
 from dotsim_ros.nodes.tactile_policy.loops import ControlLoop, InferenceLoop
 from dotsim_ros.nodes.tactile_policy.parameters import (
     CONTROL_RATE_HZ,
@@ -82,11 +82,7 @@ class TactilePolicy(WorkingNode):
                 f"{self._policy.rate_hz} Hz, expected {POLICY_RATE_HZ:g} Hz"
             )
         self._control = ArmControl(self._settings.limits(), self._settings.control())
-        self._inputs = PolicyInputs(
-            self,
-            self._settings,
-            latch=self._control.latch,
-        )
+        self._inputs = PolicyInputs(self, self._settings, latch=self._control.latch)
         self._commands = self.create_publisher(
             TwistStamped,
             "~/cmd_vel",
@@ -104,7 +100,6 @@ class TactilePolicy(WorkingNode):
             control=self._control,
             beat=beat,
             now_s=self.now_s,
-            wait=self._inputs.image_after,
             compute=partial(self.compute, latency, broken=INFERENCE_BROKEN),
             report=self._report_miss,
         )
@@ -197,15 +192,13 @@ class TactilePolicy(WorkingNode):
         )
 
     def _health(self) -> list[Status]:
-        return statuses(
-            self.label,
-            self._policy.name,
-            inputs=self._inputs,
-            inference=self._inference,
-            control=self._loop,
-            warnings=self._crowds(),
-            now_s=self.now_s(),
-        )
+        now_s = self.now_s()
+        reports = {
+            "control": self._loop.report(now_s),
+            "inference": self._inference.report(self._loop, now_s),
+            "input": self._inputs.report(now_s),
+        }
+        return statuses_of(self.label, self._policy.name, reports, self._crowds())
 
     def _crowds(self) -> dict[str, str]:
         """Return which topics have more than one publisher, by part of the diagnostics."""

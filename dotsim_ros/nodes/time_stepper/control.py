@@ -40,11 +40,6 @@ class StepControl:
         """Return whether steps are taken on request only."""
         return self._is_paused
 
-    @property
-    def is_asked(self) -> bool:
-        """Return whether steps were asked for that are not all taken."""
-        return self._left > 0
-
     def pause(self, wanted: bool) -> None:
         """Let time run, or stop it after the present step."""
         with self._changed:

@@ -21,8 +21,12 @@ from dotsim_ros.nodes.common.health import statuses_of
 from dotsim_ros.nodes.common.node import BROKEN, WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
-from dotsim_ros.nodes.simulated_time.speed_limit import SpeedLimit
-from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings, SteppingError
+from dotsim_ros.nodes.simulated_time.stepper import (
+    SpeedLimit,
+    Stepper,
+    StepperSettings,
+    SteppingError,
+)
 from dotsim_ros.nodes.time_stepper.control import StepControl, Turn
 from dotsim_ros.nodes.time_stepper.parameters import TimeStepperParameters
 from dotsim_ros.nodes.time_stepper.standard_services import (
@@ -214,7 +218,8 @@ class TimeStepper(WorkingNode):
             level, state = Level.ERROR, "ended"
         elif not self._has_joined or waiting_for:
             level, state = Level.WARN, "waiting"
-            self._log_waiting(waiting_for)
+            if waiting_for:
+                self.get_logger().info(f"waiting: {waiting_for}", throttle_duration_sec=LOG_EVERY_S)
         values = {
             "state": state,
             "time_s": f"{self._time_s:.3f}",
@@ -224,10 +229,6 @@ class TimeStepper(WorkingNode):
         }
         message = self._fault or (waiting_for if state == "waiting" else "") or state
         return statuses_of(self.label, "", {"time": (level, message, values)})
-
-    def _log_waiting(self, waiting_for: str) -> None:
-        if waiting_for:
-            self.get_logger().info(f"waiting: {waiting_for}", throttle_duration_sec=LOG_EVERY_S)
 
     def _speed_factor(self) -> float:
         """Return the simulated seconds for each real one, since the last report."""

@@ -15,10 +15,9 @@ from enum import StrEnum
 import numpy as np
 
 from dotsim_ros.control.arm.command import (
+    ToolLimits,
     Twist,
-    check_plausible,
     check_reach,
-    within_speed,
     zero_twist,
 )
 from msg_adapters import RobotState
@@ -40,12 +39,10 @@ class Hindrance(StrEnum):
 
 
 @dataclass(frozen=True)
-class LinkLimits:
-    """What may be sent.
+class LinkLimits(ToolLimits):
+    """What may be sent; faster commands are scaled down.
 
     Attributes:
-        linear_m_s: largest commanded speed of the tool; faster commands are scaled down.
-        angular_rad_s: largest commanded rate of turning.
         stale_s: a command that is older counts as zero.
         silence_s: after this long without the arm's state no commands are sent.
         answer_s: longest wait for the answer of a call.
@@ -60,12 +57,7 @@ class LinkLimits:
 
 @dataclass(frozen=True)
 class Call:
-    """A velocity to send.
-
-    Attributes:
-        twist: (6,) m/s and rad/s.
-        along_tool: its axes are the tool's, else the base's.
-    """
+    """A velocity (6,) to send, along the axes of the tool or of the base, in m/s and rad/s."""
 
     twist: Twist
     along_tool: bool
@@ -77,12 +69,9 @@ class VelocityLink:
     One call is under way at most. A command that is stale is followed by calls of zero until one
     has been answered, then by nothing. Not for several threads at once.
 
-    Args:
-        limits: what may be sent.
-
     Attributes:
+        robot: the arm's newest state, None before the first.
         hindrance: why no command was sent at the last call of `next_call`.
-        detail: the same in words.
         counts: calls by what became of them.
         last_refusal: the newest answer other than success, in words.
     """
@@ -95,38 +84,17 @@ class VelocityLink:
         self.last_refusal = ""
         self._call = Call(zero_twist(), along_tool=False)
         self._command_s = -np.inf
-        self._robot: RobotState | None = None
+        self.robot: RobotState | None = None
         self._robot_s = -np.inf
         self._sent: Call | None = None
         self._sent_s = -np.inf
         self._moves = False
 
-    @property
-    def robot(self) -> RobotState | None:
-        """Return the arm's newest state, or None before the first."""
-        return self._robot
-
     def command(self, twist: Twist, now_s: float, *, along_tool: bool) -> None:
-        """Take a velocity, the newest replaces all before.
-
-        Args:
-            twist: (6,) m/s and rad/s.
-            now_s: when it came.
-            along_tool: its axes are the tool's, else the base's.
-
-        Raises:
-            ValueError: no velocity of an arm's tool; the command counts as zero.
-        """
-        try:
-            check_plausible(twist)
-        except ValueError:
-            self.drop()
-            raise
-        limits = self.limits
-        limited = within_speed(
-            twist, linear_m_s=limits.linear_m_s, angular_rad_s=limits.angular_rad_s
-        )
-        self._call, self._command_s = Call(limited, along_tool), now_s
+        """Take a velocity (6,) along the axes of the tool or of the base, in m/s and rad/s; the
+        newest replaces all before."""
+        self._call = Call(self.limits.within_speed(twist), along_tool)
+        self._command_s = now_s
 
     def drop(self) -> None:
         """Let the newest command count as zero at once."""
@@ -143,16 +111,12 @@ class VelocityLink:
             ValueError: its tool is where no arm reaches; the state before stays, until it is old.
         """
         check_reach(robot.position_m)
-        self._robot, self._robot_s = robot, now_s
+        self.robot, self._robot_s = robot, now_s
 
     def next_call(self, now_s: float, *, has_service: bool) -> Call | None:
-        """Return what to send now, or None; a call that is returned must be sent.
-
-        Args:
-            now_s: the steady clock.
-            has_service: the service is available.
-        """
-        self._give_up(now_s)
+        """Return what to send now, or None; a call that is returned must be sent."""
+        if self._sent is not None and now_s - self._sent_s > self.limits.answer_s:
+            self.failed(f"no answer within {self.limits.answer_s:g} s")
         self.hindrance, self.detail = self._obstacle(now_s, has_service)
         if self.hindrance is not Hindrance.NONE:
             return None
@@ -189,12 +153,8 @@ class VelocityLink:
         """Return whether a call is under way."""
         return self._sent is not None
 
-    def _give_up(self, now_s: float) -> None:
-        if self._sent is not None and now_s - self._sent_s > self.limits.answer_s:
-            self.failed(f"no answer within {self.limits.answer_s:g} s")
-
     def _obstacle(self, now_s: float, has_service: bool) -> tuple[Hindrance, str]:
-        robot, silence_s = self._robot, now_s - self._robot_s
+        robot, silence_s = self.robot, now_s - self._robot_s
         if robot is None:
             return Hindrance.SILENT, "the arm's state has not been received"
         if silence_s > self.limits.silence_s:

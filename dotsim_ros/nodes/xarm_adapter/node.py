@@ -11,32 +11,28 @@ from __future__ import annotations
 from threading import RLock
 from typing import Any
 
-import numpy as np
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
-from dotsim_ros.control.arm.command import ANGULAR, LINEAR
-from dotsim_ros.io.documents import value_text
-from dotsim_ros.io.printable import cut
+from dotsim_ros.control.arm.command import ANGULAR, LINEAR, Twist
 from dotsim_ros.nodes.common.declare import declare, follow
-from dotsim_ros.nodes.common.ingest import Fault, FaultLog
+from dotsim_ros.nodes.common.health import Report, statuses_of
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.reasons import LONGEST_REASON
 from dotsim_ros.nodes.common.spin import run_node
-from dotsim_ros.nodes.xarm_adapter.health import link_statuses
+from dotsim_ros.nodes.common.velocity_input import VelocityInput
 from dotsim_ros.nodes.xarm_adapter.link import Call, Hindrance, VelocityLink
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
-from msg_adapters import Status
+from msg_adapters import Level, Status
 from msg_adapters.xarm import move_velocity_service, robot_state_message
 
-COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 # The driver publishes reliably; best effort hears it either way, and only the newest counts.
 STATE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 POSE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 WARN_EVERY_S = 2.0
+REAL = "xArm"
 
 
 class XarmAdapter(WorkingNode):
@@ -51,7 +47,6 @@ class XarmAdapter(WorkingNode):
         self._settings = declare(self, XarmAdapterParameters)
         service, state = _driver_types()
         self._lock = RLock()
-        self._faults = FaultLog()
         self._link = VelocityLink(self._settings.limits())
         self._future: Any = None
         self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=self.now_s())
@@ -62,12 +57,12 @@ class XarmAdapter(WorkingNode):
             POSE_QOS,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
-        self.create_subscription(
-            TwistStamped,
-            "cmd_vel",
-            self._on_command,
-            COMMAND_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        self._input = VelocityInput(
+            self,
+            base_frame=self._settings.base_frame,
+            tool_frame=self._settings.tool_frame,
+            take=self._command,
+            stop=self._drop,
         )
         self.create_subscription(state, self._settings.robot_states, self._on_state, STATE_QOS)
         self.report_health(
@@ -127,31 +122,13 @@ class XarmAdapter(WorkingNode):
             refusal = self._link.last_refusal
         self.get_logger().warning(refusal, throttle_duration_sec=WARN_EVERY_S)
 
-    def _on_command(self, message: TwistStamped) -> None:
-        frame, settings = message.header.frame_id, self._settings
-        if frame not in (settings.base_frame, settings.tool_frame):
-            self._refuse(
-                Fault.FRAME,
-                f"frame_id of the velocity is {value_text(frame)}, expected "
-                f"{settings.base_frame!r} or {settings.tool_frame!r}: stamp it with the "
-                "frame whose axes it is along",
-            )
-            return
-        try:
-            twist = np.concatenate(msg_adapters.decode_twist_stamped(message))
-            # A sender whose clock makes no sense is not followed either; zero means now.
-            msg_adapters.message_stamp_ns(message)
-            with self._lock:
-                self._link.command(twist, self.now_s(), along_tool=frame == settings.tool_frame)
-        except ValueError as error:
-            with self._lock:
-                self._link.drop()
-            self._refuse(Fault.NUMBERS, f"{error}: the arm is stopped")
+    def _command(self, twist: Twist, along_tool: bool) -> None:
+        with self._lock:
+            self._link.command(twist, self.now_s(), along_tool=along_tool)
 
-    def _refuse(self, fault: Fault, reason: str) -> None:
-        reason = cut(reason, LONGEST_REASON)
-        if self._faults.note(fault, reason, self.now_s()):
-            self.get_logger().warning(f"cmd_vel: {reason}")
+    def _drop(self) -> None:
+        with self._lock:
+            self._link.drop()
 
     def _on_state(self, message: Any) -> None:
         try:
@@ -160,7 +137,9 @@ class XarmAdapter(WorkingNode):
             with self._lock:
                 self._link.hear(robot, self.now_s())
         except ValueError as error:
-            self._refuse_state(str(error))
+            self.get_logger().warning(
+                f"the arm's state is refused: {error}", throttle_duration_sec=WARN_EVERY_S
+            )
             return
         self._poses.publish(
             msg_adapters.encode_pose_stamped(
@@ -171,15 +150,33 @@ class XarmAdapter(WorkingNode):
             )
         )
 
-    def _refuse_state(self, reason: str) -> None:
-        self.get_logger().warning(
-            f"the arm's state is refused: {reason}", throttle_duration_sec=WARN_EVERY_S
-        )
-
     def _health(self) -> list[Status]:
-        now_s = self.now_s()
         with self._lock:
-            return link_statuses(self.label, self._link, self._faults, now_s=now_s)
+            link = self._link
+            is_commanded = link.is_commanded(self.now_s())
+            state = "commanded" if is_commanded else "no velocity: the arm stands"
+            reports = {"arm": self._arm_report(), "input": self._input.report(state, {})}
+        return statuses_of(self.label, REAL, reports)
+
+    def _arm_report(self) -> Report:
+        link, robot = self._link, self._link.robot
+        values = {
+            **{
+                name: str(link.counts[name]) for name in ("calls", "held_back", "refused", "failed")
+            },
+            "last_refusal": link.last_refusal,
+            "hindrance": link.hindrance.value,
+        }
+        if robot is not None:
+            values |= {
+                "robot_mode": str(robot.mode),
+                "robot_state": str(robot.state),
+                "robot_error": str(robot.error),
+                "robot_warning": str(robot.warning),
+            }
+        if link.hindrance is Hindrance.NONE:
+            return Level.OK, "the arm takes velocities", values
+        return Level.ERROR, f"not commanding: {link.detail}", values
 
     def _change_parameters(self, changed: XarmAdapterParameters) -> None:
         with self._lock:

@@ -20,25 +20,21 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 import msg_adapters
-from dotsim_ros.control.arm.command import ANGULAR, LINEAR, check_plausible
-from dotsim_ros.control.arm.kinematics import JOINT_NAMES, ArmKinematics
-from dotsim_ros.control.arm.simulated import ArmState, SimulatedArm
+from dotsim_ros.control.arm.command import ANGULAR, LINEAR, Twist
+from dotsim_ros.control.arm.kinematics import JOINT_NAMES, SINGULAR_M, ArmKinematics
+from dotsim_ros.control.arm.simulated import ArmFaults, ArmState, SimulatedArm
 from dotsim_ros.geometry.pose import Pose, compose, inverse
-from dotsim_ros.io.documents import value_text
-from dotsim_ros.io.printable import cut
 from dotsim_ros.nodes.common.declare import declare, follow
-from dotsim_ros.nodes.common.ingest import Fault, FaultLog
+from dotsim_ros.nodes.common.health import Report, statuses_of
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.reasons import LONGEST_REASON
 from dotsim_ros.nodes.common.spin import run_node
-from dotsim_ros.nodes.xarm_sim.health import ArmCondition, arm_statuses
+from dotsim_ros.nodes.common.velocity_input import VelocityInput
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
-from msg_adapters import Status
+from msg_adapters import Level, Status
 
-COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 FEEDBACK_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
-
+SIMULATED = "simulated xArm 7"
 CLOCK_TOLERANCE_S = 1e-4
 CLOCK_TRIES = 4
 
@@ -50,7 +46,6 @@ class XarmSim(WorkingNode):
         super().__init__("xarm_sim")
         self._settings = declare(self, XarmSimParameters)
         self._lock = RLock()
-        self._faults = FaultLog()
         self._heard_s = -np.inf
         self._published = 0
         self._ahead_ns: int | None = None
@@ -62,12 +57,12 @@ class XarmSim(WorkingNode):
         self._twists = self._publisher(TwistStamped, "ee_twist")
         self._joints = self._publisher(JointState, "joint_states")
         self._indenters = self._publisher(PoseStamped, "indenter/pose")
-        self.create_subscription(
-            TwistStamped,
-            "cmd_vel",
-            self._on_command,
-            COMMAND_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        self._input = VelocityInput(
+            self,
+            base_frame=self._settings.base_frame,
+            tool_frame=self._settings.tool_frame,
+            take=self._command,
+            stop=self._halt,
         )
         self.report_health(
             self._settings.diagnostics_period_s,
@@ -202,50 +197,58 @@ class XarmSim(WorkingNode):
             )
         )
 
-    def _on_command(self, message: TwistStamped) -> None:
-        now_s, frame = self.now_s(), message.header.frame_id
-        settings = self._settings
-        if frame not in (settings.base_frame, settings.tool_frame):
-            self._refuse(
-                Fault.FRAME,
-                f"frame_id of the velocity is {value_text(frame)}, expected "
-                f"{settings.base_frame!r} or {settings.tool_frame!r}: stamp it with the "
-                "frame whose axes it is along",
-            )
-            return
-        try:
-            twist = np.concatenate(msg_adapters.decode_twist_stamped(message))
-            check_plausible(twist)
-            # A sender whose clock makes no sense is not followed either; zero means now.
-            msg_adapters.message_stamp_ns(message)
-        except ValueError as error:
-            with self._lock:
-                self._arm.halt(now_s)
-            self._refuse(Fault.NUMBERS, f"{error}: the arm is stopped")
-            return
+    def _command(self, twist: Twist, along_tool: bool) -> None:
         with self._lock:
-            self._arm.command(twist, now_s, along_tool=frame == settings.tool_frame)
-            self._heard_s = now_s
+            self._heard_s = self.now_s()
+            self._arm.command(twist, self._heard_s, along_tool=along_tool)
 
-    def _refuse(self, fault: Fault, reason: str) -> None:
-        reason = cut(reason, LONGEST_REASON)
-        if self._faults.note(fault, reason, self.now_s()):
-            self.get_logger().warning(f"cmd_vel: {reason}")
+    def _halt(self) -> None:
+        with self._lock:
+            self._arm.halt(self.now_s())
 
     def _health(self) -> list[Status]:
-        now_s = self.now_s()
         with self._lock:
-            condition = ArmCondition(
-                state=self._arm.state,
-                is_emergency=self._arm.is_emergency,
-                is_stale=self._arm.is_stale(),
-                silence_s=now_s - self._heard_s,
-                faults=self._arm.faults,
-                published=self._published,
-                late=self._pace.late,
-                dropped=self._pace.dropped,
-            )
-        return arm_statuses(self.label, condition, self._faults, now_s=now_s)
+            reports = {"arm": self._arm_report(), "input": self._input_report()}
+        return statuses_of(self.label, SIMULATED, reports)
+
+    def _arm_report(self) -> Report:
+        arm, motion, twist = self._arm, self._arm.state.motion, self._arm.state.twist
+        held = [JOINT_NAMES[index] for index in motion.at_limit]
+        values = {
+            "speed_m_s": f"{float(np.linalg.norm(twist[LINEAR])):.4f}",
+            "angular_speed_rad_s": f"{float(np.linalg.norm(twist[ANGULAR])):.4f}",
+            "fastest_joint_rad_s": f"{float(np.abs(motion.rates_rad_s).max()):.3f}",
+            "smallest_singular_value_m": f"{motion.smallest_m:.4f}",
+            "joints_at_limit": ", ".join(held) or "none",
+            "feedback_count": str(self._published),
+            "late": str(self._pace.late),
+            "dropped": str(self._pace.dropped),
+            "emergency_stop": str(arm.is_emergency).lower(),
+            "fail_drop_feedback": str(arm.faults.drops_feedback).lower(),
+            "fail_delay_s": f"{arm.faults.delay_s:g}",
+            "fail_stop": str(arm.faults.is_stopped).lower(),
+        }
+        if arm.is_emergency:
+            return Level.ERROR, "emergency stop: call reset to continue", values
+        if arm.faults != ArmFaults():
+            return Level.WARN, "failing on request", values
+        if held:
+            return Level.WARN, f"held back by the limit of {', '.join(held)}", values
+        if motion.slowed < 1.0:
+            return Level.WARN, "slowed down: a joint is at its greatest speed", values
+        if motion.smallest_m < SINGULAR_M:
+            return Level.WARN, "nearly singular: some directions are slowed down", values
+        return Level.OK, "standing" if arm.is_stale() else "following", values
+
+    def _input_report(self) -> Report:
+        silence_s = self.now_s() - self._heard_s
+        message = "input is valid"
+        if not np.isfinite(silence_s):
+            message = "no velocity so far"
+        elif self._arm.is_stale():
+            message = f"no velocity for {silence_s:.1f} s: the arm stands"
+        shown = f"{silence_s:.2f}" if np.isfinite(silence_s) else "none received"
+        return self._input.report(message, {"silence_s": shown})
 
     def _on_emergency_stop(self, _request: Any, response: Any) -> Any:
         with self._lock:
