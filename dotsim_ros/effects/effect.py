@@ -82,6 +82,11 @@ class GelTerm:
     prony_times_s: tuple[float, ...] = ()
 
 
+def with_gel(term: GelTerm, **changes: Any) -> GelTerm:
+    """Return a gel with some of its `GelValues` replaced."""
+    return replace(term, values=replace(term.values, **changes))
+
+
 @dataclass(frozen=True)
 class Response:
     """What the gel answers in one frame.
@@ -203,6 +208,12 @@ class Effect:
             if not np.isfinite(value):
                 raise ValueError(f"{self.name}.{name} is {value}, expected a number")
         return result
+
+
+def by_frame(function: Callable[..., Returned]) -> Callable[[Values], Callable[..., Returned]]:
+    """Return a hook whose filter remembers nothing: the function of the effect's values and of what
+    the filter is given."""
+    return lambda values: partial(function, values)
 
 
 @dataclass(frozen=True)
