@@ -18,8 +18,8 @@ from dotsim_ros.effects.effect import (
     EffectParameter,
     GelTerm,
     Response,
-    ResponseFilter,
     Values,
+    by_frame,
 )
 from dotsim_ros.effects.excitation import presses_late, unloads
 from dotsim_ros.geometry.indenter import Indenter
@@ -129,14 +129,9 @@ sensor, the radius is 2 mm whatever presses: exact for contacts of this size alo
 """
 
 
-def _response(values: Values) -> ResponseFilter:
-    change, time_s = values["stiffness_change"], values["time_s"]
-
-    def warmed(response: Response) -> Response:
-        gain = 1.0 - change * math.expm1(-response.session_s / time_s)
-        return replace(response, force_n=gain * response.force_n)
-
-    return warmed
+def _warmed(values: Values, response: Response) -> Response:
+    gain = 1.0 - values["stiffness_change"] * math.expm1(-response.session_s / values["time_s"])
+    return replace(response, force_n=gain * response.force_n)
 
 
 THERMAL_DRIFT = Effect(
@@ -151,7 +146,7 @@ THERMAL_DRIFT = Effect(
     protocol="the same press first and last, the light being on for half an hour between them",
     excited_by=presses_late,
     taken_for=("force_drift", "force_scale", "mullins_softening"),
-    response=_response,
+    response=by_frame(_warmed),
 )
 """The stiffness approaches a new value exponentially, like the temperature of a body that is heated
 evenly and cooled at its surface. Only the force shows it: in a quasi-static press by a rigid
