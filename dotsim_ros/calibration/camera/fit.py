@@ -36,7 +36,6 @@ from dotsim_ros.calibration.camera.model import (
 )
 from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.optics.idle import lit_region
-from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
@@ -357,13 +356,7 @@ class _Problem:
         if self._lens is not model.camera:
             self._views, _ = self._render(model)
             self._lens = model.camera
-        image = ImageRenderer(
-            model.camera,
-            self._filmed.skin,
-            self._filmed.idle,
-            lighting=model.lights.lighting(),
-            vignetting=model.vignetting,
-        )
+        image = model.images(self._filmed)
         warped = [
             self._blurred(image.warp(view))[mask].ravel()
             for view, mask in zip(self._views, self._masks, strict=True)
