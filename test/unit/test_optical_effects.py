@@ -3,6 +3,8 @@
 
 """The optical effects: each against its closed form, and none of them at its none-values."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -20,21 +22,6 @@ HEIGHT, WIDTH = 48, 64
 CENTRE = np.array([33.0, 22.0])
 FOCAL = 16.0
 EFFECTS = {name: effect for name, effect in load_effects().items() if effect.image is not None}
-STATIC = (
-    "ambient_light",
-    "camera_displacement",
-    "camera_extrinsics",
-    "camera_intrinsics",
-    "daylight",
-    "defocus",
-    "gamma",
-    "led_imbalance_blue",
-    "led_imbalance_green",
-    "led_imbalance_red",
-    "saturation",
-    "vignetting",
-    "worn_coat",
-)
 MOVING = ("motion_blur", "rolling_shutter")
 
 
@@ -78,34 +65,25 @@ def recording_of(phase, *, speed_m_s=0.0, session_s=0.0):
     return Recording(press, None, session_s, np.full(3, 1e-3), (Phase.IDLE, phase, phase))
 
 
-def test_the_optical_half_of_the_library_is_complete():
-    assert set(EFFECTS) == {*STATIC, *MOVING, "auto_exposure", "led_dimming"}
-    for effect in EFFECTS.values():
-        assert effect.channels == (IMAGE,)
-        assert not effect.needs_solve
-        assert effect.parameters[0].none is not None
-
-
 @pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_an_effect_of_no_size_changes_nothing(name):
-    nothing = {p.name: p.none for p in EFFECTS[name].parameters if p.none is not None}
-    image = seen_image()
-    # What is resampled is so in single precision.
-    np.testing.assert_allclose(seen_with(name, image, **nothing), image.pixels, rtol=1e-6)
-
-
-@pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_every_probe_lies_in_range_and_stays_on_the_scale(name):
+def test_an_effect_of_no_size_changes_nothing_and_every_probe_stays_on_the_scale(name):
     effect = EFFECTS[name]
+    assert effect.channels == (IMAGE,)
+    nothing = {p.name: p.none for p in effect.parameters if p.none is not None}
     image = seen_image(pixels=np.linspace(0.0, 255.0, HEIGHT * WIDTH * 3).reshape(HEIGHT, WIDTH, 3))
-    for parameter in effect.parameters:
-        assert parameter.probes
-        for probe in parameter.probes:
-            assert parameter.low <= probe <= parameter.high
-            seen = seen_with(name, image, **{parameter.name: probe})
-            assert seen.shape == image.pixels.shape
-            assert seen.min() >= 0.0
-            assert seen.max() <= 255.0
+    image = replace(image, idle=image.pixels)
+    # What is resampled is so in single precision.
+    np.testing.assert_allclose(
+        seen_with(name, image, **nothing), image.pixels, rtol=1e-6, atol=1e-4
+    )
+    for probe in effect.parameters[0].probes:
+        seen = seen_with(name, image, **{effect.parameters[0].name: probe})
+        assert seen.shape == image.pixels.shape
+        assert seen.min() >= 0.0
+        assert seen.max() <= 255.0
+    if name in MOVING:
+        still = seen_image(flow_px_s=np.zeros((HEIGHT, WIDTH, 2)))
+        np.testing.assert_array_equal(seen_with(name, still), still.pixels)
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
@@ -121,7 +99,7 @@ def test_a_filter_changes_no_input_and_repeats_itself(name):
     assert np.abs(first - before).max() > 0.0 or name == "saturation"
 
 
-@pytest.mark.parametrize("shift", [0.04, 0.12, 0.25, 0.5, 0.7, -0.12, 1.3])
+@pytest.mark.parametrize("shift", [0.12, -0.12, 1.3])
 def test_a_slope_is_looked_up_at_its_place(shift):
     x, y = np.meshgrid(np.arange(20.0), np.arange(16.0))
     slope = np.repeat((3.0 * x + 2.0 * y)[..., None], 3, axis=2)
@@ -151,15 +129,6 @@ def test_a_centre_that_moves_by_whole_pixels_shifts_the_image(aspect):
         shift_y_rad=-3.0 / FOCAL,
     )
     np.testing.assert_allclose(seen[:-3, 2:], image.pixels[3:, :-2], rtol=1e-6)
-
-
-def test_a_longer_lens_enlarges_about_the_optical_axis():
-    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
-    cone = np.repeat(np.hypot(x - CENTRE[0], y - CENTRE[1])[..., None], 3, axis=2)
-    seen = seen_with("camera_intrinsics", seen_image(pixels=cone), focal_ratio=1.05)
-    inner = (slice(5, 40), slice(5, 55))
-    far = cone[inner] > 3.0
-    np.testing.assert_allclose(seen[inner][far], cone[inner][far] / 1.05, atol=0.1)
 
 
 @pytest.mark.parametrize("aspect", [1.0, 1.2])
@@ -241,7 +210,7 @@ def seen_through_discs(diameter_px, pixels):
     return seen_with("defocus", image, pupil_area_m2=0.25 * np.pi * pupil_m**2, focus_m=20e-3)
 
 
-@pytest.mark.parametrize("diameter_px", [0.3, 1.0, 2.5, 4.4, 12.0])
+@pytest.mark.parametrize("diameter_px", [0.3, 2.5, 12.0])
 def test_an_edge_out_of_focus_is_as_wide_as_its_disc(diameter_px):
     step = np.where(np.arange(WIDTH) < 32, 40.0, 200.0)
     pixels = np.broadcast_to(step[None, :, None], (HEIGHT, WIDTH, 3))
@@ -251,17 +220,6 @@ def test_an_edge_out_of_focus_is_as_wide_as_its_disc(diameter_px):
     variance = slope @ place**2 - (slope @ place) ** 2
     # The variance of a disc along an axis.
     assert variance == pytest.approx(diameter_px**2 / 16.0, rel=1e-6)
-
-
-def test_a_large_disc_blurs_an_edge_by_its_chords():
-    diameter_px = 12.0
-    step = np.where(np.arange(WIDTH) < 32, 0.0, 200.0)
-    edge = seen_through_discs(
-        diameter_px, np.broadcast_to(step[None, :, None], (HEIGHT, WIDTH, 3))
-    )[22, :, 0]
-    t = np.clip((np.arange(WIDTH) - 31.5) / (0.5 * diameter_px), -1.0, 1.0)
-    share = 0.5 + (np.arcsin(t) + t * np.sqrt(1.0 - t**2)) / np.pi
-    np.testing.assert_allclose(edge / 200.0, share, atol=0.015)
 
 
 def test_skin_in_focus_stays_sharp_beside_skin_that_is_not():
@@ -304,15 +262,6 @@ def test_a_hemisphere_has_three_quarters_of_the_sky_above_it_and_half_of_a_lamp_
         assert np.average(added, weights=weight) == pytest.approx(share, abs=0.02)
 
 
-def test_daylight_falls_on_skin_alone():
-    normal = -rays()
-    normal[:10] = np.nan
-    image = seen_image(normal=normal)
-    seen = seen_with("daylight", image)
-    np.testing.assert_array_equal(seen[:10], image.pixels[:10])
-    assert np.all(seen[12:] >= image.pixels[12:])
-
-
 def test_vignetting_falls_with_the_square_of_the_radius():
     seen = seen_with("vignetting", seen_image(), edge_loss=0.1)
     ratio = seen / seen_image().pixels
@@ -331,27 +280,29 @@ def test_leds_dim_over_the_session_and_not_at_its_start():
     np.testing.assert_allclose(seen, expected)
 
 
-@pytest.mark.parametrize(("colour", "channel"), [("red", 0), ("green", 1), ("blue", 2)])
-def test_leds_out_of_balance_change_their_colour_alone(colour, channel):
-    seen = seen_with(f"led_imbalance_{colour}", seen_image(), loss_share=0.1)
-    ratio = seen / seen_image().pixels
-    for other in range(3):
-        np.testing.assert_allclose(ratio[..., other], 0.9 if other == channel else 1.0)
-
-
 def test_auto_exposure_brings_the_mean_back_to_that_of_the_idle_frame():
     image = seen_image(pixels=0.8 * seen_image().pixels)
     full = seen_with("auto_exposure", image, strength=1.0)
     assert full.mean() == pytest.approx(image.idle.mean())
     half = seen_with("auto_exposure", image, strength=0.5)
     np.testing.assert_allclose(half, image.pixels / np.sqrt(0.8))
-    still = seen_image()
-    np.testing.assert_allclose(seen_with("auto_exposure", still, strength=1.0), still.pixels)
-
-
-def test_a_black_image_does_not_drive_the_exposure_without_bound():
     black = seen_image(pixels=np.zeros((HEIGHT, WIDTH, 3)))
     np.testing.assert_array_equal(seen_with("auto_exposure", black, strength=1.0), black.pixels)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "expected"),
+    [
+        ("ambient_light", {"added_share": 0.03}, lambda pixels: pixels + 0.03 * 255.0),
+        ("saturation", {"clip_share": 0.5}, lambda pixels: np.minimum(pixels, 127.5)),
+        ("led_imbalance_red", {"loss_share": 0.1}, lambda pixels: pixels * [0.9, 1.0, 1.0]),
+        ("led_imbalance_green", {"loss_share": 0.1}, lambda pixels: pixels * [1.0, 0.9, 1.0]),
+        ("led_imbalance_blue", {"loss_share": 0.1}, lambda pixels: pixels * [1.0, 1.0, 0.9]),
+    ],
+)
+def test_each_pixel_by_itself(name, size, expected):
+    image = seen_image()
+    np.testing.assert_allclose(seen_with(name, image, **size), expected(image.pixels))
 
 
 def test_gamma_keeps_black_and_white():
@@ -361,11 +312,6 @@ def test_gamma_keeps_black_and_white():
     np.testing.assert_allclose(seen[0], 255.0)
     np.testing.assert_allclose(seen[1], 255.0 * 0.25**0.9)
     np.testing.assert_allclose(seen[2], 0.0)
-
-
-def test_ambient_light_adds_the_same_everywhere():
-    seen = seen_with("ambient_light", seen_image(), added_share=0.03)
-    np.testing.assert_allclose(seen - seen_image().pixels, 0.03 * 255.0)
 
 
 def test_motion_blur_takes_the_mean_along_the_path():
@@ -393,17 +339,6 @@ def test_a_rolling_shutter_skews_by_row():
     np.testing.assert_allclose(seen[:, 4:-4, 0], expected[:, 4:-4], atol=0.06 * 3.0)
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_what_stands_still_is_neither_blurred_nor_skewed(name):
-    still = seen_image(flow_px_s=np.zeros((HEIGHT, WIDTH, 2)))
-    np.testing.assert_array_equal(seen_with(name, still), still.pixels)
-
-
-def test_saturation_clips_what_is_above_its_level_alone():
-    seen = seen_with("saturation", seen_image(), clip_share=0.5)
-    np.testing.assert_array_equal(seen, np.minimum(seen_image().pixels, 127.5))
-
-
 def test_a_worn_spot_is_darkest_at_its_place():
     values = {"loss_share": 0.4, "x_rad": 0.5, "y_rad": -0.5, "radius_rad": 0.25}
     ratio = seen_with("worn_coat", seen_image(), **values) / seen_image().pixels
@@ -417,8 +352,7 @@ def test_what_excites_the_optical_effects():
     fast = recording_of(Phase.LOAD, speed_m_s=5e-3)
     slide = recording_of(Phase.SLIDE, speed_m_s=5e-3)
     hold = recording_of(Phase.HOLD)
-    for name in STATIC:
-        assert EFFECTS[name].excited_by(hold)
+    assert EFFECTS["gamma"].excited_by(hold)
     for name in MOVING:
         assert [EFFECTS[name].excited_by(r) for r in (slow, fast, slide, hold)] == [
             False,
@@ -430,14 +364,3 @@ def test_what_excites_the_optical_effects():
     assert not EFFECTS["auto_exposure"].excited_by(hold)
     assert not EFFECTS["led_dimming"].excited_by(hold)
     assert EFFECTS["led_dimming"].excited_by(recording_of(Phase.HOLD, session_s=30.0))
-
-
-def test_effects_follow_one_another():
-    actives = [
-        Active(EFFECTS["led_imbalance_red"], {"loss_share": 0.5}),
-        Active(EFFECTS["ambient_light"], {"added_share": 0.1}),
-    ]
-    seen = image_filters(actives)(seen_image())
-    np.testing.assert_allclose(seen[..., 0], 0.5 * seen_image().pixels[..., 0] + 25.5)
-    back = image_filters(actives[::-1])(seen_image())
-    np.testing.assert_allclose(back[..., 0], 0.5 * (seen_image().pixels[..., 0] + 25.5))
