@@ -8,8 +8,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from dotsim_ros.gel.make import law_of
-from dotsim_ros.gel.material import bulk_modulus_pa, shear_modulus_pa, small_strain_moduli_pa
+from dotsim_ros.gel.material import (
+    bulk_modulus_pa,
+    law_of,
+    shear_modulus_pa,
+    small_strain_moduli_pa,
+)
 from dotsim_ros.specification import (
     GEL_PARAMETERS,
     GelValues,
