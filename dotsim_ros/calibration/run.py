@@ -282,11 +282,7 @@ def seen_as_before(fitted: SensorSpecification, before: SensorSpecification) -> 
 
 
 def check_modulus(youngs_modulus_pa: float, what: str) -> None:
-    """Refuse a Young's modulus that no gel has.
-
-    Args:
-        youngs_modulus_pa: that was found.
-        what: how the error begins.
+    """Refuse a Young's modulus that no gel has; `what` begins the error.
 
     Raises:
         ValueError: it lies beyond `SOFTEST_PA` and `HARDEST_PA`.

@@ -102,11 +102,9 @@ class Workers:
         self._pool, self._directory = pool, directory
 
     def run(self, tasks: Sequence[Task], progress: Callable[[str], None]) -> dict[str, Outcome]:
-        """Return the outcomes by press, from files where a run before has left them.
+        """Return the outcomes of one stage by press, from files where a run before has left them.
 
-        Args:
-            tasks: of one stage.
-            progress: called with the name of each press as it is finished.
+        `progress` is called with the name of each press as it is finished.
         """
         outcomes: dict[str, Outcome] = {}
         waiting: dict[Future[Outcome], Task] = {}
@@ -133,13 +131,8 @@ class Workers:
         point: FloatArray,
         observations: Sequence[Observation],
     ) -> Iterator[tuple[Observation, Prediction | str]]:
-        """Yield each press with what the gel gives for it, or with why it could not be solved.
-
-        Args:
-            problem: whose parameters the point is of.
-            point: (P,) shared by all presses.
-            observations: the presses.
-        """
+        """Yield each press with what the gel gives for it at the shared point (P,), or with why it
+        could not be solved."""
         shared = replace(problem, with_offset=False)
         tasks = [Task("judge", o, shared, point, None, 0, "") for o in observations]
         found = self._pool.map(_predict, tasks)

@@ -70,12 +70,7 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class GelTerm:
-    """What the gel is made of.
-
-    Attributes:
-        values: the elastic gel and its friction.
-        prony_shares, prony_times_s: its relaxation.
-    """
+    """What the gel is made of: the elastic gel with its friction, and its relaxation."""
 
     values: GelValues
     prony_shares: tuple[float, ...] = ()

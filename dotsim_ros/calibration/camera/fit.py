@@ -73,13 +73,8 @@ EVALUATIONS = 6
 
 @dataclass(frozen=True)
 class Rim:
-    """A circle through the rim of the lit disc, pixels.
-
-    Attributes:
-        centre_px: (2,) x then y.
-        radius_px: its radius.
-        residual_px: root mean square distance of the rim from it.
-    """
+    """A circle through the rim of the lit disc, pixels: its centre (2,), x then y, its radius, and
+    the root mean square distance of the rim from it."""
 
     centre_px: FloatArray
     radius_px: float
@@ -88,15 +83,8 @@ class Rim:
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """One parameter of the fit.
-
-    Attributes:
-        name: of the parameter.
-        before: its value in the model that was given.
-        after: its value.
-        deviation: posterior standard deviation.
-        prior: standard deviation before the images were seen.
-    """
+    """One parameter of the fit: its value before and after, its posterior standard deviation, and
+    that before the images were seen."""
 
     name: str
     before: float

@@ -71,13 +71,8 @@ def score_frames(
     *,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> list[CameraFrameScore]:
-    """Return the scores of all frames.
-
-    Args:
-        filmed: images and shapes of the skin.
-        model: camera, at the images' resolution, and lights.
-        progress: called with the name of each press that is done.
-    """
+    """Return the scores of all frames by a camera at the images' resolution; progress is called
+    with the name of each press that is done."""
     renderer = SkinRenderer(model.camera, filmed.skin)
     unshaded, shaded = model.images(filmed, is_shaded=False), model.images(filmed)
     lit = lit_region(filmed.idle)

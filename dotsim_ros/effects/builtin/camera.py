@@ -73,11 +73,7 @@ ROUNDS = 2
 
 def parallax_px(image: SeenImage, displacement_m: FloatArray) -> FloatArray:
     """Return how far (H, W, 2) what each pixel shows moves in the image; 0 where no skin is seen.
-
-    Args:
-        image: with the skin's depth.
-        displacement_m: (3,) of the camera, optical frame.
-    """
+    The displacement (3,) is the camera's, optical frame."""
     camera = undistorted_camera(image)
     directions, _ = camera.rays()
     point_m = image.depth_m[..., None] * directions
@@ -243,13 +239,8 @@ SUBSAMPLES = 16
 
 
 def disc_px(image: SeenImage, *, pupil_area_m2: float, focus_m: float) -> FloatArray:
-    """Return (H, W) the diameter of each pixel's circle of confusion, px; 0 where no skin is seen.
-
-    Args:
-        image: with the skin's depth.
-        pupil_area_m2: area of the entrance pupil.
-        focus_m: distance that is in focus.
-    """
+    """Return (H, W) the diameter of each pixel's circle of confusion, px, for an entrance pupil of
+    an area and a distance in focus; 0 where no skin is seen."""
     pupil_m = np.sqrt(4.0 * pupil_area_m2 / np.pi)
     diameter = image.focal_px * pupil_m * np.abs(1.0 / image.depth_m - 1.0 / focus_m)
     return np.nan_to_num(diameter)
@@ -358,12 +349,8 @@ camera's gain takes.
 def led_imbalance(colour: str, channel: int) -> Effect:
     """Return the effect that the LEDs of one colour shine weaker or brighter than the others.
 
-    The image's channel stands for the LEDs: the light of one colour that the camera sees in
-    another channel is left out.
-
-    Args:
-        colour: of the LEDs.
-        channel: of the image: 0 red, 1 green, 2 blue.
+    The image's channel (0 red, 1 green, 2 blue) stands for the LEDs: the light of one colour that
+    the camera sees in another channel is left out.
     """
 
     def dimmed(values: Values, image: SeenImage) -> FloatArray:

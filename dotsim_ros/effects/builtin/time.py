@@ -26,13 +26,8 @@ from dotsim_ros.geometry.indenter import Indenter
 
 
 def with_relaxation(term: GelTerm, share: float, time_s: float) -> GelTerm:
-    """Return a gel that relaxes in one way more.
-
-    Args:
-        term: the gel.
-        share: of the stress that nothing else relaxes, so that the whole stays below 1.
-        time_s: of the relaxation.
-    """
+    """Return a gel that relaxes in one way more: `share` of the stress that nothing else relaxes,
+    so that the whole stays below 1, in a time."""
     if share == 0.0:
         return term
     left = 1.0 - sum(term.prony_shares)
@@ -73,12 +68,8 @@ SAMPLES = 96
 
 
 def contact_radius_m(indenter: Indenter, depth_m: float) -> float:
-    """Return the radius of the circle that is as large as the contact at a depth of the tip.
-
-    Args:
-        indenter: what presses.
-        depth_m: of its tip below the skin at rest.
-    """
+    """Return the radius of the circle that is as large as the contact at a depth of the tip below
+    the skin at rest."""
     lower, upper = indenter.bounds_m()
     x, y = (
         np.linspace(lower[axis], upper[axis], SAMPLES + 1)[:-1]
