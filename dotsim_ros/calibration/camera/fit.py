@@ -29,9 +29,11 @@ from dotsim_ros.calibration.camera.model import (
     LENS,
     LIGHTS,
     REFERENCE_HEIGHT_PX,
+    RIM_MARGIN_PX,
     CameraModel,
     CameraParameter,
     moved,
+    seen_motion_px,
     with_gloss,
 )
 from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
@@ -55,7 +57,6 @@ LENS_SPAN_PX = 6.0
 """The lens is fitted to what is left of a blurred image once one blurred so much is taken off: the
 pattern, without the shading."""
 LIGHTS_BLUR_PX = 2.0
-RIM_MARGIN_PX = 9
 
 RIM_DEVIATION_PX = 0.5
 """How far the rim's centre lies from the principal point, one standard deviation."""
@@ -358,8 +359,7 @@ def _blur(image: Float32Array, size_px: float) -> Float32Array:
 
 def _moved(view: View, rest: View, triangles: NDArray[np.int32]) -> BoolArray:
     """Return (H, W) where the skin that is seen has moved in the image, and a little around."""
-    motion = np.linalg.norm(view.vertex_pixel - rest.vertex_pixel, axis=1)
-    seen = motion[triangles[np.maximum(view.triangle, 0)]].mean(axis=-1) > MOVED_PX
+    seen = seen_motion_px(view, rest, triangles) > MOVED_PX
     around = cv2.dilate((seen & view.mask).astype(np.uint8), np.ones((7, 7)))
     return np.asarray(around > 0)
 

@@ -14,13 +14,15 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import Camera
-from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.pose import Pose, quaternion_product
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.quantity import quantities_of
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
+from dotsim_ros.optics.renderer import View
 from dotsim_ros.specification import (
     CameraSpecification,
     LightingSpecification,
@@ -31,6 +33,9 @@ from dotsim_ros.twin.footage import FilmedData
 
 REFERENCE_HEIGHT_PX = 240.0
 """Image height that parameters in pixels are stated for."""
+
+RIM_MARGIN_PX = 9
+"""What lies nearer to the rim of the lit disc is neither fitted nor judged."""
 
 CENTRE_NAMES = ("centre_x_px", "centre_y_px")
 
@@ -61,6 +66,12 @@ class CameraModel:
             lighting=Lighting.from_specification(self.lights) if is_shaded else UNCHANGING,
             vignetting=Vignetting(self.falloff),
         )
+
+
+def seen_motion_px(view: View, rest: View, triangles: NDArray[np.int32]) -> FloatArray:
+    """Return how far (H, W) the skin that each pixel of a view shows has moved in the image."""
+    motion = np.linalg.norm(view.vertex_pixel - rest.vertex_pixel, axis=1)
+    return np.asarray(motion[triangles[np.maximum(view.triangle, 0)]].mean(axis=-1))
 
 
 def describe_lights(model: CameraModel) -> dict[str, dict[str, Any]]:
@@ -167,21 +178,11 @@ def _camera_entry(
 
 def _turned(model: CameraModel, axis: int, angle_rad: float) -> CameraModel:
     """Return the model turned about an axis of its own optical frame."""
-    half = np.zeros(3)
-    half[axis] = np.sin(0.5 * angle_rad)
-    x, y, z = half
-    w = np.cos(0.5 * angle_rad)
-    ax, ay, az, aw = model.camera.pose.quaternion_xyzw
-    product = np.array(
-        [
-            aw * x + ax * w + ay * z - az * y,
-            aw * y - ax * z + ay * w + az * x,
-            aw * z + ax * y - ay * x + az * w,
-            aw * w - ax * x - ay * y - az * z,
-        ]
-    )
-    pose = Pose(model.camera.pose.position_m, product / np.linalg.norm(product))
-    return _with_camera(model, pose=pose)
+    turn = np.zeros(4)
+    turn[axis], turn[3] = np.sin(0.5 * angle_rad), np.cos(0.5 * angle_rad)
+    before = model.camera.pose
+    turned = Pose(before.position_m, quaternion_product(before.quaternion_xyzw, turn))
+    return _with_camera(model, pose=turned)
 
 
 def _turn(name: str, axis: int, prior_rad: float) -> CameraParameter:

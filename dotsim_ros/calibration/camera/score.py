@@ -21,7 +21,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.camera.model import REFERENCE_HEIGHT_PX, CameraModel
+from dotsim_ros.calibration.camera.model import (
+    REFERENCE_HEIGHT_PX,
+    RIM_MARGIN_PX,
+    CameraModel,
+    seen_motion_px,
+)
 from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.renderer import SkinRenderer, View
@@ -33,7 +38,6 @@ MOTION_PX = 0.5
 TEXTURE_LEVELS = 8.0
 """Least standard deviation of a patch's brightness for its motion to be measured."""
 NEIGHBOURHOOD_PX = 6.0
-RIM_MARGIN_PX = 9
 
 
 @dataclass(frozen=True)
@@ -115,8 +119,7 @@ def _judged(
     inside &= view.mask
     if untouched:
         return inside
-    motion = np.linalg.norm(view.vertex_pixel - rest.vertex_pixel, axis=1)
-    seen = motion[triangles[np.maximum(view.triangle, 0)]].mean(axis=-1)
+    seen = seen_motion_px(view, rest, triangles)
     return np.asarray(inside & (seen > MOTION_PX * len(lit) / REFERENCE_HEIGHT_PX))
 
 
