@@ -31,7 +31,6 @@ from dotsim_ros.calibration.report import figures, summary_lines
 from dotsim_ros.calibration.run import check_modulus
 from dotsim_ros.calibration.statistics import (
     Combination,
-    identifiability,
     joint_estimate,
     joint_step,
     median_estimate,
@@ -149,22 +148,6 @@ def linear_press(
         1,
         True,
     )
-
-
-def test_the_skin_alone_does_not_tell_youngs_modulus() -> None:
-    problem = problem_of("E", "nu")
-    random = np.random.default_rng(1)
-    skin = random.normal(size=(50, 2))
-    skin[:, 0] = 0.0
-    jacobian = {SKIN: skin, FORCE: 20.0 * random.normal(size=(9, 2))}
-    press = linear_press(jacobian, {c: np.zeros(len(j)) for c, j in jacobian.items()}, np.zeros(2))
-    rows = {(r.parameter, r.data): r for r in identifiability(problem, [press])}
-    alone = rows["E", "skin alone"]
-    assert alone.information == 0.0
-    assert alone.deviation == pytest.approx(alone.prior_deviation)
-    assert not alone.is_told
-    assert rows["E", "skin and force"].is_told
-    assert rows["nu", "skin alone"].is_told
 
 
 def test_a_press_own_offset_is_eliminated_as_if_all_were_solved_together() -> None:
@@ -325,23 +308,15 @@ def test_each_reason_why_data_identify_nothing_has_its_own_words(
         said.add(found)
         answered(f"{name}: {found}", what=what)
     assert len(said) == len(cases)
-
-
-def test_a_press_beside_the_middle_of_a_pad_is_no_slide() -> None:
-    skin = pad_skin((0.02, 0.016, 0.004), 1e-3)
-    poses = [Pose(np.array([7e-3, 5e-3, z])) for z in (4.2e-3, 3.0e-3, 2.0e-3)]
+    # A press next to the middle of a pad goes no way along its skin, unless it slides there.
+    pad = pad_skin((0.02, 0.016, 0.004), 1e-3)
     for slide_m, words in ((0.0, "no press slides more than 0.00 mm"), (1e-3, "leave it open")):
-        way = [*poses, Pose(np.array([7e-3 + slide_m, 5e-3, 2.0e-3]))]
-        measured = np.repeat(skin.rest_position_m[None], 4, axis=0)
-        press = Press("a", "ball", way, np.arange(4.0), measured, None)
-        found = why_not_identified(
-            problem_of("friction"),
-            ["friction"],
-            [Observation(press, sphere(0.004))],
-            skin,
-            losses=(POINTS,),
-            topics=Topics(),
-        )
+        places = ((7e-3, 4.2e-3), (7e-3, 2.0e-3), (7e-3 + slide_m, 2.0e-3))
+        way = [Pose(np.array([x, 5e-3, z])) for x, z in places]
+        measured = np.repeat(pad.rest_position_m[None], 3, axis=0)
+        press = Observation(Press("a", "ball", way, np.arange(3.0), measured), sphere(0.004))
+        given = {"losses": (POINTS,), "topics": Topics()}
+        found = why_not_identified(problem_of("friction"), ["friction"], [press], pad, **given)
         assert words in found["friction"]
 
 
