@@ -82,6 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         CameraModel,
         camera_section,
         describe_lights,
+        read_lights,
     )
     from dotsim_ros.calibration.camera.report import (
         draw_sheet,
@@ -95,7 +96,6 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.geometry.camera import Camera
     from dotsim_ros.io.files import write_image, write_json
     from dotsim_ros.io.provenance import provenance
-    from dotsim_ros.optics.idle import stated_lights
     from dotsim_ros.specification import load_sensor
     from dotsim_ros.twin.footage import read_filmed_data, with_measured_skin
 
@@ -112,9 +112,9 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.data, sensor, presses=[*train, *held_out], progress=_say, topics=topics
     )
     height, width = filmed.idle.shape[:2]
-    lights, vignetting = stated_lights(stated)
+    lights, falloff = read_lights(stated)
     start = CameraModel(
-        Camera.from_specification(stated.camera).scaled(width, height), lights, vignetting.falloff
+        Camera.from_specification(stated.camera).scaled(width, height), lights, falloff
     )
     to_fit = _only(filmed, train)
     lens_skin = to_fit

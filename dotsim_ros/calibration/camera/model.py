@@ -20,12 +20,14 @@ from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.pose import Pose, quaternion_product
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.quantity import quantities_of
+from dotsim_ros.optics.idle import stated_lights
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import View
 from dotsim_ros.specification import (
     CameraSpecification,
     LightingSpecification,
+    SensorSpecification,
     VignettingSpecification,
 )
 from dotsim_ros.twin.ball_presses import UNCHANGING
@@ -66,6 +68,17 @@ class CameraModel:
             lighting=Lighting.from_specification(self.lights) if is_shaded else UNCHANGING,
             vignetting=Vignetting(self.falloff),
         )
+
+
+def read_lights(sensor: SensorSpecification) -> tuple[LightingSpecification, tuple[float, ...]]:
+    """Return lights and falloff that the file next to a sensor's idle image states, or the sensor's.
+
+    Raises:
+        FileNotFoundError: the sensor names an image that is not there.
+        ValueError: the file describes no idle image.
+    """
+    lighting, vignetting = stated_lights(sensor)
+    return lighting, vignetting.falloff
 
 
 def seen_motion_px(view: View, rest: View, triangles: NDArray[np.int32]) -> FloatArray:
