@@ -39,8 +39,6 @@ HELD_OUT_COUNT = 9
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
-    from dotsim_ros.calibration.parameters import PARAMETERS
-
     parser.add_argument("--data", type=Path, help="folder of the data set")
     parser.add_argument("--out", type=Path, required=True, help="sensor's file to write (.yaml)")
     _add_guided_arguments(parser)
@@ -54,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["E", "nu", "friction"],
         metavar="NAME",
-        help=f"of {', '.join(PARAMETERS)}, and offset (of the indenter, six numbers a press) "
-        "(E nu friction)",
+        help="E, nu (or bulk_modulus), friction, c20, c30 (of Yeoh), thickness, offset (of the "
+        "indenter, six numbers a press) (E nu friction)",
     )
     parser.add_argument(
         "--loss",

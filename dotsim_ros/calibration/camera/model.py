@@ -71,7 +71,7 @@ class CameraModel:
 
 
 def read_lights(sensor: SensorSpecification) -> tuple[LightingSpecification, tuple[float, ...]]:
-    """Return lights and falloff that the file next to a sensor's idle image states, or the sensor's.
+    """Return a sensor's lights and falloff: of the file next to its idle image, or its own.
 
     Raises:
         FileNotFoundError: the sensor names an image that is not there.
