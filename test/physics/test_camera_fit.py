@@ -24,7 +24,7 @@ from dotsim_ros.cli.main import main
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.optics.idle import read_description
-from dotsim_ros.optics.lighting import Lighting
+from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.pattern import render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import (
@@ -73,6 +73,7 @@ def filmed(true):
         true.camera,
         GelSpecification(outer_radius_m=RADIUS_M),
         lighting=Lighting.from_specification(true.lights),
+        vignetting=Vignetting(),
         pattern=PatternSpecification(noise_levels=0.0),
     )
     renderer = SkinRenderer(true.camera, skin)
