@@ -79,7 +79,7 @@ def filmed(true):
     renderer = SkinRenderer(true.camera, skin)
     images = true.images(FilmedData(skin, idle, ()))
     presses = []
-    for number, (x, y) in enumerate([(0.7, 0.2), (-0.5, 0.6), (0.1, -0.8)]):
+    for number, (x, y) in enumerate([(0.0, 0.0), (0.7, 0.2), (-0.5, 0.6), (0.1, -0.8)]):
         depth_m = np.array([-0.1e-3, 3.0e-3])
         position = np.stack([dented(skin, (x, y, 1.0), max(d, 0.0)) for d in depth_m])
         measured = np.stack([images.warp(renderer.render(p)) for p in position])
