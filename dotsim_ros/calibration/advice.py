@@ -30,13 +30,8 @@ UNITS_N = {"grams": 9.80665e-3, "millinewtons": 1e-3, "kilograms": 9.80665, "pou
 
 
 def far_modulus(found_pa: float, start_pa: float) -> str | None:
-    """Return what to check where a modulus is far from the one that the fit began at; None where it
-    is not.
-
-    Args:
-        found_pa: Young's modulus as fitted.
-        start_pa: of the sensor's file.
-    """
+    """Return what to check where a fitted modulus is far from the one that the fit began at; None
+    where it is not."""
     ratio = found_pa / start_pa
     if 1.0 / FAR < ratio < FAR:
         return None
@@ -52,15 +47,8 @@ def far_modulus(found_pa: float, start_pa: float) -> str | None:
 def shown_modulus_pa(
     problem: FitProblem, linearisations: Sequence[PressLinearisation]
 ) -> float | None:
-    """Return Young's modulus that scales the simulated forces to the measured ones best.
-
-    Args:
-        problem: whose start the linearisations are at.
-        linearisations: of all presses.
-
-    Returns:
-        The modulus, Pa; None where E is not fitted or no force was measured.
-    """
+    """Return Young's modulus that scales the simulated forces to the measured ones best; None where
+    E is not fitted or no force was measured. The linearisations are at the problem's start."""
     index = next((k for k, p in enumerate(problem.parameters) if p.name == "E"), None)
     parts = [lin for lin in linearisations if FORCE in lin.loss]
     if index is None or not parts:
@@ -89,16 +77,10 @@ def why_not_identified(
     topics: Topics,
     shown_pa: float | None = None,
 ) -> dict[str, str]:
-    """Return for each parameter what keeps the data from identifying it, and what to do.
+    """Return for each named parameter what keeps the data from identifying it, and what to do.
 
-    Args:
-        problem: with the stated noise.
-        names: of the parameters, keys of `PARAMETERS`.
-        observations: that were fitted, without the channels that no loss asks for.
-        skin: at rest.
-        losses: that were asked for.
-        topics: where the channels lie.
-        shown_pa: Young's modulus that the forces show, by `shown_modulus_pa`.
+    The observations are without the channels that no loss asks for; `shown_pa` is Young's modulus
+    that the forces show, by `shown_modulus_pa`.
     """
     presses = [o.press for o in observations]
     depths_m = [np.asarray(tip_depth_m(skin, press.poses)) for press in presses]

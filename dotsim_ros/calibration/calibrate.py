@@ -179,11 +179,8 @@ def _as_lit_before(
     """Return a calibration whose sensor has its lights as far from a pad's face as before, with
     remarks on what its file has otherwise than the sensor before.
 
-    Args:
-        calibration: with the sensor under its name.
-        before: the sensor that was given.
-        described: its idle image, where lights that stand next to it come before the sensor's own.
-        out: file of the sensor, which a copy of that image is written next to; None writes none.
+    Lights that stand next to the idle image, `described`, come before the sensor's own; a copy of
+    them is written next to the sensor's file, where one is written.
     """
     sensor, remarks = calibration.specification, []
     if before.camera.residual and not sensor.camera.residual:

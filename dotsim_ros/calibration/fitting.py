@@ -11,7 +11,7 @@ A test compares the gradient that the columns give with the adjoint's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,17 +25,13 @@ from dotsim_ros.calibration.loss import (
     nearest_partners,
     residuals,
 )
-from dotsim_ros.calibration.parameters import (
-    GelParameter,
-    coordinate_bounds,
-    coordinates,
-    with_coordinates,
-)
+from dotsim_ros.calibration.parameters import coordinate_bounds, coordinates, with_coordinates
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import Observation
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.specification import GelParameter
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 
@@ -91,12 +87,9 @@ class PressLinearisation:
 
     Attributes:
         point: (n,) unknowns: coordinates of the parameters, then the offset.
-        information: (n, n) J^T J of each channel.
-        gradient: (n,) J^T r of each channel.
-        loss: r^T r / 2 of each channel.
-        count: number of residuals of each channel.
-        solve_count: solves of the press that it took.
-        converged: whether all of them met the solver's tolerance.
+        information, gradient: J^T J (n, n) and J^T r (n,) of each channel.
+        loss, count: r^T r / 2, and number of residuals, of each channel.
+        converged: whether all of its solves met the solver's tolerance.
     """
 
     point: FloatArray
@@ -125,7 +118,6 @@ class PressFit:
     Attributes:
         best: the linearisation at the best point.
         losses: with priors, of each accepted point.
-        solve_count: solves of the press.
         has_settled: whether the last step was small, not the budget spent.
     """
 
@@ -167,12 +159,8 @@ def linearise(
 ) -> PressLinearisation:
     """Return the squares and their derivatives at unknowns (n,).
 
-    Args:
-        simulator: of the sensor.
-        observation: the press.
-        problem: what is fitted.
-        point: (n,) unknowns; parameters beyond their bounds are taken at them, as the model is.
-        simulated: the model at the point, if it is known.
+    Parameters beyond their bounds are taken at them, as the model is. `simulated` is the model at
+    the point, if it is known.
 
     Raises:
         SolveError: the model could not be solved at the point or next to it.
@@ -270,18 +258,8 @@ def fit_press(
     start: PressLinearisation,
     *,
     budget: int,
-    progress: Callable[[int], None] | None = None,
 ) -> PressFit:
-    """Fit one press alone.
-
-    Args:
-        simulator: of the sensor.
-        observation: the press.
-        problem: what is fitted.
-        start: where to begin.
-        budget: most solves of the press.
-        progress: called with the number of solves so far.
-    """
+    """Fit one press alone, with at most `budget` solves after those of the start."""
     best, spent, damping = start, 0, FIRST_DAMPING
     cost = 1 + sum(1 for index in range(problem.size) if not _is_modulus(problem, index))
     losses = [penalised(problem, best)[2]]
@@ -308,8 +286,6 @@ def fit_press(
         spent += best.solve_count
         damping = max(damping / 10.0, 1e-6)
         losses.append(trial)
-        if progress is not None:
-            progress(spent)
     return PressFit(best, losses, spent, has_settled)
 
 

@@ -66,10 +66,6 @@ def idle_image_of(out: Path, ending: str = ".png") -> tuple[Path, str]:
     """Return the file of the idle image of a sensor's file, and how the sensor names it.
 
     It lies next to the sensor's file, or below `params/images` for one in `params/sensors`.
-
-    Args:
-        out: the sensor's file.
-        ending: of the image's name.
     """
     out = out.resolve()
     file = f"{out.stem}_idle{ending}"
@@ -80,30 +76,18 @@ def idle_image_of(out: Path, ending: str = ".png") -> tuple[Path, str]:
 
 
 def write_description(image: Path, sections: dict[str, Any], comment: str) -> None:
-    """Write what describes an idle image next to it, whole or not at all.
-
-    Args:
-        image: file of the image.
-        sections: of the description.
-        comment: lines that say where it comes from.
-    """
+    """Write what describes an idle image next to it, whole or not at all; the comment says where it
+    comes from."""
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     write_text(image.with_suffix(".yaml"), head + yaml.safe_dump(sections, sort_keys=False))
 
 
 def write_lowered_copy(described: DescribedImage, drop_m: float, out: Path) -> str:
-    """Copy an idle image to where that of a sensor's file lies, with its lights lower.
+    """Copy an idle image to where that of a sensor's file, `out`, lies, with its lights lower;
+    return how the sensor names the copy.
 
     What is copied stays as it is, for the sensor before: also one that is about to be replaced,
     since whatever interrupts that leaves a sensor that is lit as it was.
-
-    Args:
-        described: the image.
-        drop_m: by how much.
-        out: the sensor's file.
-
-    Returns:
-        How the sensor names the copy.
 
     Raises:
         OSError: it cannot be written.

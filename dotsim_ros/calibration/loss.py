@@ -101,15 +101,8 @@ def residuals(
     skin: SkinMesh,
     partners: Partners | None,
 ) -> dict[str, FloatArray]:
-    """Return simulated minus measured over noise, (n,) for each channel that was measured.
-
-    Args:
-        press: the measured one.
-        simulated: at the same poses.
-        noise: of the measurement.
-        skin: the simulated skin.
-        partners: that the Chamfer distance compares; None compares point to point.
-    """
+    """Return simulated minus measured over noise, (n,) for each channel that was measured, at the
+    same poses. Without partners of the Chamfer distance the skin is compared point to point."""
     result = {}
     if press.skin_position_m is not None:
         own, measured = simulated.skin_position_m, press.skin_position_m

@@ -1,18 +1,18 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What can be fitted: each parameter's coordinate, prior, bounds and place in a sensor's file.
+"""What can be fitted: the gel's parameters by their names, and values at their coordinates.
 
 Fits work in coordinates in which the response is close to linear: the logarithm of a stiffness, of
 friction and of 1/2 - nu (compliance is smooth in it up to incompressibility); ratios and lengths as
 they are. A prior is a normal distribution of the coordinate around the value that the sensor's
-file has.
+file has. `dotsim_ros.specification.GelValues` declares each of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,91 +20,13 @@ import numpy as np
 from dotsim_ros.gel.material import bulk_modulus_pa
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.specification import GEL_PARAMETERS, GelParameter
 
-
-@dataclass(frozen=True)
-class GelParameter:
-    """One parameter of the gel.
-
-    Attributes:
-        name: on the command line and in reports.
-        field: of `GelValues` that it sets.
-        unit: of its value.
-        prior_width: one standard deviation of the prior, in the coordinate.
-        bounds: smallest and largest value.
-        step: of the differences, in the coordinate: so large that the solver's tolerance does not
-            matter, so small that the answer is straight over it.
-        to_coordinate, to_value: from the field's value to the coordinate, and back.
-        model_error: RMS of the coordinate, by which the constant that fits a unit differs from that
-            of its material, which another solver was given; None where that is not known. Learnt
-            from five units of the series of the gap finder's study, judged on five others
-            (docs/calibration.md).
-    """
-
-    name: str
-    field: str
-    unit: str
-    prior_width: float
-    bounds: tuple[float, float]
-    step: float
-    to_coordinate: Callable[[float], float]
-    to_value: Callable[[float], float]
-    model_error: float | None = None
-
-    def bound_of(self, value: float) -> float | None:
-        """Return the bound that a value of the field lies at; None for one between them."""
-        return next((bound for bound in self.bounds if np.isclose(value, bound, rtol=1e-6)), None)
-
-
-def _same(value: float) -> float:
-    return value
-
-
-def _log(value: float) -> float:
-    return float(np.log(value))
-
-
-def _exp(value: float) -> float:
-    return float(np.exp(value))
-
-
-def _log_compressibility(poisson_ratio: float) -> float:
-    return float(np.log(0.5 - poisson_ratio))
-
-
-def _poisson_ratio(coordinate: float) -> float:
-    return float(0.5 - np.exp(coordinate))
-
-
-def _poisson(name: str, unit: str) -> GelParameter:
-    return GelParameter(
-        name,
-        "poisson_ratio",
-        unit,
-        0.8,
-        (0.2, 0.4999),
-        0.2,
-        _log_compressibility,
-        _poisson_ratio,
-        0.515,
-    )
-
-
+BULK_MODULUS = "bulk_modulus"
 PARAMETERS = {
-    parameter.name: parameter
-    for parameter in (
-        GelParameter("E", "youngs_modulus_pa", "Pa", 0.5, (1e3, 1e8), 0.05, _log, _exp, 0.018),
-        _poisson("nu", ""),
-        # nu = 1/2 - E / (6 K): the same coordinate by another name.
-        _poisson("bulk_modulus", "Pa"),
-        GelParameter("friction", "friction", "", 0.5, (0.02, 3.0), 0.1, _log, _exp, 0.192),
-        GelParameter(
-            "contact_stiffness", "contact_stiffness", "E/1.2 mm", 1.0, (2.0, 1e3), 0.2, _log, _exp
-        ),
-        GelParameter("c20", "c20_ratio", "of C10", 0.2, (-0.3, 2.0), 0.05, _same, _same),
-        GelParameter("c30", "c30_ratio", "of C10", 0.1, (-0.1, 2.0), 0.05, _same, _same),
-        GelParameter("thickness", "thickness_m", "m", 0.3e-3, (1e-3, 0.1), 0.1e-3, _same, _same),
-    )
+    **{parameter.name: parameter for parameter in GEL_PARAMETERS.values() if parameter.name},
+    # nu = 1/2 - E / (6 K): the same coordinate by another name.
+    BULK_MODULUS: replace(GEL_PARAMETERS["poisson_ratio"], name=BULK_MODULUS, unit="Pa"),
 }
 """What `--fit` may name, next to `offset`."""
 
@@ -154,6 +76,6 @@ def with_coordinates(
 
 def shown_value(parameter: GelParameter, values: GelValues) -> float:
     """Return a parameter's value in its unit."""
-    if parameter.name == "bulk_modulus":
+    if parameter.name == BULK_MODULUS:
         return bulk_modulus_pa(values.youngs_modulus_pa, values.poisson_ratio)
     return float(getattr(values, parameter.field))

@@ -15,18 +15,13 @@ from numpy.typing import NDArray
 
 from dotsim_ros.calibration.advice import far_modulus
 from dotsim_ros.calibration.loss import FORCE, SKIN
-from dotsim_ros.calibration.parameters import (
-    GelParameter,
-    shown_value,
-    with_coordinates,
-)
+from dotsim_ros.calibration.parameters import shown_value, with_coordinates
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import CHANNEL_SETS, Combination, Identifiability
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.files import whole_file, write_json
 from dotsim_ros.io.page import (
     LARGEST_WIDTH_INCHES,
-    Block,
     Bullets,
     Gallery,
     Page,
@@ -40,6 +35,7 @@ from dotsim_ros.io.page import (
 )
 from dotsim_ros.io.printable import figure_label, one_line, printable
 from dotsim_ros.io.provenance import provenance
+from dotsim_ros.specification import GelParameter
 from dotsim_ros.twin.press_metrics import by_indenter, summarize
 
 ONE_PRESS = (
@@ -248,53 +244,41 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
         numbers: its `figures`.
     """
     c = calibration
-    estimates = tuple(
-        (
-            f"{name}, {p['unit']}" if p["unit"] else name,
-            _number(p["prior"]),
-            _estimate(p["joint"]),
-            _material(p["joint"]),
-            _estimate(p["median"]),
-        )
-        for name, p in numbers["parameters"].items()
+    estimates = Table(
+        ("parameter", "before", *(f"{what} (95 %)" for what in _ESTIMATES)),
+        tuple(
+            (
+                f"{name}, {p['unit']}" if p["unit"] else name,
+                *(_number(p["prior"]), _estimate(p["joint"])),
+                *(_material(p["joint"]), _estimate(p["median"])),
+            )
+            for name, p in numbers["parameters"].items()
+        ),
     )
-    identified = tuple(
-        (
-            r.parameter,
-            r.data,
-            _number(r.information),
-            _number(r.deviation),
-            _number(r.prior_deviation),
-            "yes" if r.is_told else "no",
-        )
-        for r in c.identifiability
+    identified = Table(
+        ("parameter", "from", "information", "deviation after", "before", "identifiable"),
+        tuple(
+            (
+                *(r.parameter, r.data),
+                *map(_number, (r.information, r.deviation, r.prior_deviation)),
+                "yes" if r.is_told else "no",
+            )
+            for r in c.identifiability
+        ),
     )
     held_out = tuple(
         (name, *(_number(s[key]) for key in _HELD_OUT)) for name, s in numbers["held_out"].items()
     )
-    head = (
-        "parameter",
-        "before",
-        "joint fit (95 %)",
-        "the material's own (95 %)",
-        "median of single fits (95 %)",
-    )
-    identified_head = (
-        "parameter",
-        "from",
-        "information",
-        "deviation after",
-        "before",
-        "identifiable",
-    )
+    omitted = tuple(omission.reason for omission in c.omissions)
+    left_out = Bullets(omitted) if omitted else Paragraph("Nothing.")
     return Page(
         "Calibration of the gel",
-        f"Joint fit: {'; '.join(f'{row[0]} {row[2]}' for row in estimates)}",
+        f"Joint fit: {'; '.join(f'{row[0]} {row[2]}' for row in estimates.rows)}",
         (
             Section(
                 "Parameters",
                 (
-                    Table(head, estimates),
+                    estimates,
                     *([Paragraph(ONE_PRESS)] if len(c.fits) == 1 else []),
                     *([Bullets(c.remarks)] if c.remarks else []),
                     Paragraph(
@@ -309,7 +293,7 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
             Section(
                 "What the data identify",
                 (
-                    Table(identified_head, identified),
+                    identified,
                     Paragraph(
                         "Information is Fisher's, with the other parameters known. Deviations "
                         "are with the others free, each within its prior, which to second order "
@@ -329,7 +313,7 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
                 "Held-out presses",
                 (Table(("presses", *_HELD_OUT), held_out) if held_out else Paragraph("None."),),
             ),
-            Section("Left out", (_bullets([omission.reason for omission in c.omissions]),)),
+            Section("Left out", (left_out,)),
             Section(
                 "Solves",
                 (
@@ -339,28 +323,22 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
                         "Presses with a frame short of the solver's tolerance: "
                         f"{', '.join(numbers['not_converged']) or 'none'}."
                     ),
-                    Paragraph(_origin(numbers)),
+                    Paragraph(
+                        "Commit {commit}, {machine}, {date}, seed {seed}: {command}".format(
+                            **numbers
+                        )
+                    ),
                 ),
             ),
         ),
     )
 
 
+_ESTIMATES = ("joint fit", "the material's own", "median of single fits")
 _HELD_OUT = (
-    "skin_rms_mm",
-    "contact_rms_mm",
-    "vertex_rms_mm",
-    "normal_force_error",
-    "tangential_force_error",
-    "frames",
+    *("skin_rms_mm", "contact_rms_mm", "vertex_rms_mm"),
+    *("normal_force_error", "tangential_force_error", "frames"),
 )
-
-
-def _origin(numbers: dict[str, Any]) -> str:
-    return (
-        f"Commit {numbers['commit']}, {numbers['machine']}, {numbers['date']}, seed "
-        f"{numbers['seed']}: {numbers['command']}"
-    )
 
 
 def _frozen_text(calibration: Calibration) -> str:
@@ -388,10 +366,6 @@ def _number(value: float | int | None) -> str:
     if value is None:
         return "-"
     return f"{float(f'{value:.4g}'):.7g}"
-
-
-def _bullets(items: Sequence[str]) -> Block:
-    return Bullets(tuple(items)) if items else Paragraph("Nothing.")
 
 
 MOST_NAMED_ROWS = 100

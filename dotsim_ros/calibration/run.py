@@ -17,7 +17,7 @@ from dotsim_ros.calibration.advice import shown_modulus_pa, why_not_identified
 from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
 from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.parameters import chosen_parameters, with_coordinates
-from dotsim_ros.calibration.stages import Outcome, Task, Workers, open_workers, task_key
+from dotsim_ros.calibration.stages import Task, Workers, open_workers, task_key
 from dotsim_ros.calibration.statistics import (
     Combination,
     Identifiability,
@@ -48,27 +48,19 @@ JOINT_STEPS = 2
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """What to calibrate.
+    """What to calibrate: what `calibrate` is given, checked and complete.
 
     Attributes:
-        data_set: the bags.
         sensor: the sensor before; its constants are the priors' centres.
-        train: names of the trajectories to fit on.
-        held_out: names of those to judge on.
+        train, held_out: names of the trajectories to fit on and to judge on.
         fit: names of parameters, keys of `PARAMETERS`.
         with_offset: whether to fit an offset of the indenter to each press.
-        losses: which of `POINTS`, `CHAMFER` and `FORCE`.
-        noise: of the measurement.
-        topics: where the channels lie in the bags.
         directory: of the run's files.
-        workers: how many processes, or workers of Ray.
-        seed: of the bootstrap.
         joint_steps: Gauss-Newton steps of the joint fit, each a solve and one a parameter for each
             press. Without any, the joint estimate comes from the fits of single presses, weighed by
             their information: splits of one data set then share all solves.
         solve_budget: most solves of a press. One more than there are parameters leaves each press
             where it starts.
-        indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
     """
 
     data_set: DataSet
@@ -194,22 +186,19 @@ def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibrat
     )
     _prepare_tables(r.sensor, skin, asked, progress)
     with open_workers(r.sensor, skin, r.directory, r.workers) as workers:
-        stages = _Stages(r, skin, workers, progress)
-        return _calibrated(r, stages, asked, observations, judged, omissions, has_vertices)
+        stages = _Stages(r, skin, workers, progress, omissions)
+        return _calibrated(stages, asked, observations, judged, has_vertices)
 
 
 def _calibrated(
-    request: CalibrationRequest,
     stages: _Stages,
     asked: FitProblem,
     observations: list[Observation],
     judged: list[Observation],
-    omissions: list[Omission],
     has_vertices: bool,
 ) -> Calibration:
-    begun = monotonic()
-    solves: dict[str, int] = {}
-    first = stages.linearised("start", asked, observations, {}, solves, omissions)
+    begun, request = monotonic(), stages.request
+    first = stages.linearised("start", asked, observations, {})
     shown_pa = shown_modulus_pa(asked, list(first.values()))
     if shown_pa is not None:
         check_modulus(shown_pa, "the forces are those of")
@@ -233,15 +222,13 @@ def _calibrated(
         )
     problem = replace(asked, parameters=tuple(asked.parameters[k] for k in kept))
     first = {name: _restricted(asked, kept, lin) for name, lin in first.items()}
-    fits = stages.fitted("single", problem, observations, first, solves, omissions)
+    fits = stages.fitted("single", problem, observations, first)
     median = median_estimate(problem, list(fits.values()), seed=request.seed)
     points = {name: _joined(problem, median.point, fits[name].best) for name in fits}
     joint_observations = [o for o in observations if o.press.name in fits]
     at = {name: fit.best for name, fit in fits.items()}
     for number in range(request.joint_steps):
-        at = stages.linearised(
-            f"joint_{number}", problem, joint_observations, points, solves, omissions
-        )
+        at = stages.linearised(f"joint_{number}", problem, joint_observations, points)
         step = joint_step(problem, list(at.values()))
         points = {
             name: lin.point + np.concatenate([step, offset_step(problem, lin, step)])
@@ -252,9 +239,7 @@ def _calibrated(
     if "E" in everything:
         check_modulus(values.youngs_modulus_pa, "the fit ends at")
     fit_seconds = monotonic() - begun
-    scores: list[PressFrameScore] = []
-    if has_vertices:
-        scores = stages.judged(problem, joint.point, judged, omissions, request.seed)
+    scores = stages.judged(problem, joint.point, judged) if has_vertices else []
     return Calibration(
         problem=problem,
         asked=tuple(p.name for p in asked.parameters),
@@ -266,9 +251,9 @@ def _calibrated(
         values=values,
         specification=seen_as_before(specification_with(request.sensor, values), request.sensor),
         linearisations=at,
-        solve_counts=solves,
+        solve_counts=stages.solve_counts,
         scores=scores,
-        omissions=omissions,
+        omissions=stages.omissions,
         fit_seconds=fit_seconds,
         reasons=reasons,
     )
@@ -297,11 +282,7 @@ def seen_as_before(fitted: SensorSpecification, before: SensorSpecification) -> 
 
 
 def check_modulus(youngs_modulus_pa: float, what: str) -> None:
-    """Refuse a Young's modulus that no gel has.
-
-    Args:
-        youngs_modulus_pa: that was found.
-        what: how the error begins.
+    """Refuse a Young's modulus that no gel has; `what` begins the error.
 
     Raises:
         ValueError: it lies beyond `SOFTEST_PA` and `HARDEST_PA`.
@@ -315,12 +296,23 @@ def check_modulus(youngs_modulus_pa: float, what: str) -> None:
 
 
 class _Stages:
-    """Runs the stages of a request, each over all presses."""
+    """Runs the stages of a request, each over all presses.
+
+    Attributes:
+        solve_counts: solves of each press so far.
+        omissions: what was left out so far, and why.
+    """
 
     def __init__(
-        self, request: CalibrationRequest, skin: SkinMesh, workers: Workers, progress: Progress
+        self,
+        request: CalibrationRequest,
+        skin: SkinMesh,
+        workers: Workers,
+        progress: Progress,
+        omissions: list[Omission],
     ) -> None:
-        self._request, self.skin = request, skin
+        self.request, self.skin, self.omissions = request, skin, omissions
+        self.solve_counts: dict[str, int] = {}
         self._workers, self._progress = workers, progress
 
     def linearised(
@@ -329,8 +321,6 @@ class _Stages:
         problem: FitProblem,
         observations: Sequence[Observation],
         points: dict[str, FloatArray],
-        solves: dict[str, int],
-        omissions: list[Omission],
     ) -> dict[str, PressLinearisation]:
         """Return the linearisations at points (n,), by default the priors' centres."""
         tasks = []
@@ -339,10 +329,9 @@ class _Stages:
             if points and name not in points:
                 continue
             point = points.get(name, problem.centre())
-            key = task_key(self._request.sensor, self.skin, observation, problem, point)
+            key = task_key(self.request.sensor, self.skin, observation, problem, point)
             tasks.append(Task(stage, observation, problem, point, None, 0, key))
-        found = self._run(stage, tasks, solves, omissions)
-        return {name: fit.best for name, fit in found.items()}
+        return {name: fit.best for name, fit in self._run(stage, tasks).items()}
 
     def fitted(
         self,
@@ -350,36 +339,23 @@ class _Stages:
         problem: FitProblem,
         observations: Sequence[Observation],
         starts: dict[str, PressLinearisation],
-        solves: dict[str, int],
-        omissions: list[Omission],
     ) -> dict[str, PressFit]:
         """Return the fits of single presses."""
-        cost = 1 + problem.size
-        tasks = []
+        request, tasks = self.request, []
         for observation in observations:
-            start = starts.get(observation.press.name)
-            if start is None:
+            name = observation.press.name
+            if name not in starts:
                 continue
-            budget = self._request.solve_budget - solves[observation.press.name]
-            budget -= self._request.joint_steps * cost
-            key = task_key(
-                self._request.sensor,
-                self.skin,
-                observation,
-                problem,
-                start.point,
-                np.array(budget),
-            )
+            start = starts[name]
+            budget = request.solve_budget - self.solve_counts[name]
+            budget -= request.joint_steps * (1 + problem.size)
+            content = (request.sensor, self.skin, observation, problem, start.point)
+            key = task_key(*content, np.array(budget))
             tasks.append(Task(stage, observation, problem, start.point, start, budget, key))
-        return self._run(stage, tasks, solves, omissions)
+        return self._run(stage, tasks)
 
     def judged(
-        self,
-        problem: FitProblem,
-        point: FloatArray,
-        observations: Sequence[Observation],
-        omissions: list[Omission],
-        seed: int,
+        self, problem: FitProblem, point: FloatArray, observations: Sequence[Observation]
     ) -> list[PressFrameScore]:
         """Return the scores of held-out presses at the shared parameters' point (P,)."""
         scores: list[PressFrameScore] = []
@@ -387,38 +363,31 @@ class _Stages:
         for o, found in self._workers.predict(problem, point, observations):
             count(o.press.name)
             if isinstance(found, str):
-                omissions.append(Omission(o.press.name, f"held out: {found}"))
+                self.omissions.append(Omission(o.press.name, f"held out: {found}"))
             elif o.press.skin_position_m is not None:
+                seed = self.request.seed
                 scores += score_press(o.press, found, o.indenter, self.skin, seed=seed)
         return scores
 
-    def _run(
-        self,
-        stage: str,
-        tasks: Sequence[Task],
-        solves: dict[str, int],
-        omissions: list[Omission],
-    ) -> dict[str, PressFit]:
-        outcomes: dict[str, Outcome] = self._workers.run(tasks, self._counter(stage, len(tasks)))
+    def _run(self, stage: str, tasks: Sequence[Task]) -> dict[str, PressFit]:
+        outcomes = self._workers.run(tasks, self._counter(stage, len(tasks)))
         found = {}
         for task in tasks:
             name = task.observation.press.name
             outcome = outcomes[name]
-            if outcome.fit is None:
-                omissions.append(
-                    Omission(
-                        name,
-                        f"{name}, stage {stage}: {outcome.error}; check the poses' frame and units "
-                        "and the indenter's mesh, or press less deep",
-                    )
+            if isinstance(outcome, str):
+                reason = (
+                    f"{name}, stage {stage}: {outcome}; check the poses' frame and units and "
+                    "the indenter's mesh, or press less deep"
                 )
+                self.omissions.append(Omission(name, reason))
                 continue
-            solves[name] = solves.get(name, 0) + outcome.fit.solve_count
-            found[name] = outcome.fit
+            self.solve_counts[name] = self.solve_counts.get(name, 0) + outcome.solve_count
+            found[name] = outcome
         if not found:
             raise ValueError(
                 f"no press could be solved in stage {stage}: "
-                f"{summarize_reasons([omission.reason for omission in omissions])}"
+                f"{summarize_reasons([omission.reason for omission in self.omissions])}"
             )
         return found
 

@@ -63,14 +63,8 @@ class Task:
     key: str
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a task gave: a fit, or why it could not be done."""
-
-    name: str
-    fit: PressFit | None
-    error: str = ""
-
+Outcome = PressFit | str
+"""What a task gave: a fit, or why it could not be done."""
 
 _simulator: GelSimulator | None = None
 
@@ -82,15 +76,14 @@ def _begin(specification: SensorSpecification, skin: SkinMesh) -> None:
 
 def _work(task: Task) -> Outcome:
     assert _simulator is not None
-    name = task.observation.press.name
+    press, problem = task.observation, task.problem
     try:
         if task.start is None:
-            found = linearise(_simulator, task.observation, task.problem, task.point)
-            return Outcome(name, PressFit(found, [], found.solve_count))
-        fit = fit_press(_simulator, task.observation, task.problem, task.start, budget=task.budget)
+            found = linearise(_simulator, press, problem, task.point)
+            return PressFit(found, [], found.solve_count)
+        return fit_press(_simulator, press, problem, task.start, budget=task.budget)
     except SolveError as error:
-        return Outcome(name, None, str(error))
-    return Outcome(name, fit)
+        return str(error)
 
 
 def _predict(task: Task) -> Prediction | str:
@@ -109,11 +102,9 @@ class Workers:
         self._pool, self._directory = pool, directory
 
     def run(self, tasks: Sequence[Task], progress: Callable[[str], None]) -> dict[str, Outcome]:
-        """Return the outcomes by press, from files where a run before has left them.
+        """Return the outcomes of one stage by press, from files where a run before has left them.
 
-        Args:
-            tasks: of one stage.
-            progress: called with the name of each press as it is finished.
+        `progress` is called with the name of each press as it is finished.
         """
         outcomes: dict[str, Outcome] = {}
         waiting: dict[Future[Outcome], Task] = {}
@@ -122,16 +113,16 @@ class Workers:
             if stored is None:
                 waiting[self._pool.submit(_work, task)] = task
             else:
-                outcomes[stored.name] = stored
-                progress(stored.name)
+                outcomes[task.observation.press.name] = stored
+                progress(task.observation.press.name)
         while waiting:
             done, _ = wait(waiting, return_when=FIRST_COMPLETED)
             for future in done:
                 task = waiting.pop(future)
-                outcome = future.result()
-                _store(self._file(task), task.key, outcome)
-                outcomes[outcome.name] = outcome
-                progress(outcome.name)
+                name = task.observation.press.name
+                outcomes[name] = future.result()
+                _store(self._file(task), task, outcomes[name])
+                progress(name)
         return outcomes
 
     def predict(
@@ -140,13 +131,8 @@ class Workers:
         point: FloatArray,
         observations: Sequence[Observation],
     ) -> Iterator[tuple[Observation, Prediction | str]]:
-        """Yield each press with what the gel gives for it, or with why it could not be solved.
-
-        Args:
-            problem: whose parameters the point is of.
-            point: (P,) shared by all presses.
-            observations: the presses.
-        """
+        """Yield each press with what the gel gives for it at the shared point (P,), or with why it
+        could not be solved."""
         shared = replace(problem, with_offset=False)
         tasks = [Task("judge", o, shared, point, None, 0, "") for o in observations]
         found = self._pool.map(_predict, tasks)
@@ -187,10 +173,12 @@ def task_key(
     )
 
 
-def _store(path: Path, key: str, outcome: Outcome) -> None:
-    record: dict[str, Any] = {"key": key, "name": outcome.name, "error": outcome.error}
-    if outcome.fit is not None:
-        fit = asdict(outcome.fit)
+def _store(path: Path, task: Task, outcome: Outcome) -> None:
+    record: dict[str, Any] = {"key": task.key, "name": task.observation.press.name}
+    if isinstance(outcome, str):
+        record["error"] = outcome
+    else:
+        fit = asdict(outcome)
         record["fit"] = json.loads(json.dumps(fit, default=lambda array: array.tolist()))
     write_json(path, record)
 
@@ -209,11 +197,10 @@ def _load(path: Path, task: Task) -> Outcome | None:
         return None
     if record["key"] != task.key:
         return None
-    name = task.observation.press.name
     try:
         if "fit" not in record:
-            return Outcome(name, None, str(record["error"]))
-        return Outcome(name, _fit_of(record["fit"], task.problem.size))
+            return str(record["error"])
+        return _fit_of(record["fit"], task.problem.size)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         tell_broken(path, f"it holds no whole result of a press ({error})")
         return None

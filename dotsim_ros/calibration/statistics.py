@@ -46,12 +46,7 @@ class Identifiability:
 
 @dataclass(frozen=True)
 class Combination:
-    """A combined estimate.
-
-    Attributes:
-        point: (P,) coordinates.
-        low, high: (P,) ends of the 95 % intervals.
-    """
+    """A combined estimate: coordinates (P,), and the ends (P,) of the 95 % intervals."""
 
     point: FloatArray
     low: FloatArray

@@ -70,16 +70,16 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class GelTerm:
-    """What the gel is made of.
-
-    Attributes:
-        values: the elastic gel and its friction.
-        prony_shares, prony_times_s: its relaxation.
-    """
+    """What the gel is made of: the elastic gel with its friction, and its relaxation."""
 
     values: GelValues
     prony_shares: tuple[float, ...] = ()
     prony_times_s: tuple[float, ...] = ()
+
+
+def with_gel(term: GelTerm, **changes: Any) -> GelTerm:
+    """Return a gel with some of its `GelValues` replaced."""
+    return replace(term, values=replace(term.values, **changes))
 
 
 @dataclass(frozen=True)
@@ -203,6 +203,12 @@ class Effect:
             if not np.isfinite(value):
                 raise ValueError(f"{self.name}.{name} is {value}, expected a number")
         return result
+
+
+def by_frame(function: Callable[..., Returned]) -> Callable[[Values], Callable[..., Returned]]:
+    """Return a hook whose filter remembers nothing: the function of the effect's values and of what
+    the filter is given."""
+    return lambda values: partial(function, values)
 
 
 @dataclass(frozen=True)

@@ -152,22 +152,12 @@ def _check_source(path: Path, content: bytes) -> None:
     """
     try:
         tree = ast.parse(importlib.util.decode_source(content), str(path))
-    except SyntaxError as error:
-        line = "" if error.lineno is None else f", line {error.lineno}"
+    # What a hostile file makes of the parser, too: NUL bytes, and nesting without end.
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        line = f", line {error.lineno}" if getattr(error, "lineno", None) else ""
         raise ValueError(
-            f"{path} is no Python{line}: {one_line(error.msg)}; expected a program in UTF-8 that "
-            "holds an EFFECT: mend it, or move it out of the folder"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ValueError(
-            f"{path} is no text in UTF-8 (byte {error.start}); expected a Python program: save it "
-            "as UTF-8"
-        ) from error
-    # What a hostile file makes of the parser: NUL bytes, and nesting without end.
-    except (ValueError, RecursionError, MemoryError) as error:
-        raise ValueError(
-            f"{path} is no Python: {one_line(error)}; expected a program in UTF-8 that holds an "
-            "EFFECT: mend it, or move it out of the folder"
+            f"{path} is no Python{line}: {one_line(getattr(error, 'msg', error))}; expected a "
+            "program in UTF-8 that holds an EFFECT: mend it, or move it out of the folder"
         ) from error
     names = {
         name.id

@@ -62,14 +62,9 @@ def specification_with_effects(
 
 
 def wrench_with_force(wrench: Wrench, force_n: FloatArray, tip_m: FloatArray) -> Wrench:
-    """Return a wrench of another force.
+    """Return a wrench about the frame's origin with another force (3,).
 
-    What of it lies along the force before acts where that did; the rest acts at the tip.
-
-    Args:
-        wrench: before, about the frame's origin.
-        force_n: (3,) the new force.
-        tip_m: (3,) of the indenter.
+    What of it lies along the force before acts where that did; the rest acts at the tip (3,).
     """
     before = wrench.force_n
     square = float(before @ before)
@@ -79,7 +74,7 @@ def wrench_with_force(wrench: Wrench, force_n: FloatArray, tip_m: FloatArray) ->
 
 
 class FilteredSensor(Protocol):
-    """What the filters need of a live sensor."""
+    """What the filters need of a live sensor, as `dotsim_ros.sensor.TactileSensor`."""
 
     @property
     def skin(self) -> SkinMesh:
@@ -149,13 +144,8 @@ class LiveEffects:
         self._image = image_filters(self._effects)
 
     def moved(self, pose: Pose, force_n: FloatArray, step_s: float) -> Pose:
-        """Return the indenter's true pose for a commanded one.
-
-        Args:
-            pose: as commanded.
-            force_n: (3,) of the gel on the indenter in the frame before.
-            step_s: since then.
-        """
+        """Return the indenter's true pose for a commanded one, `step_s` after the frame before, in
+        which the gel pushed the indenter with a force (3,)."""
         self._stamp_s += step_s
         self._session_s += step_s
         return self._motion(self._stamp_s, pose, force_n)
@@ -185,16 +175,9 @@ class LiveEffects:
     def camera(
         self, before_m: FloatArray | None, step_s: float
     ) -> Callable[[FilteredFrame], ImageArray] | None:
-        """Return what the camera makes of this moment's image, whenever it is rendered; None where
-        no effect acts on it.
-
-        Args:
-            before_m: (V, 3) the skin in the frame before; None where nothing leads here.
-            step_s: since then.
-
-        Returns:
-            A function of the rendered frame.
-        """
+        """Return what the camera makes of this moment's rendered frame, whenever that is; None
+        where no effect acts on it. The skin (V, 3) of the frame before, `step_s` ago, is None where
+        nothing leads here."""
         if not self._has_image:
             return None
         image, stamp_s, session_s = self._image, self._stamp_s, self._session_s

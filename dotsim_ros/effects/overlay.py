@@ -30,12 +30,7 @@ _NUMBERS = ("value", "low", "high")
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect of an overlay.
-
-    Attributes:
-        name: of the effect.
-        parameters: with their intervals.
-    """
+    """An effect of an overlay, with its parameters and their intervals."""
 
     name: str
     parameters: tuple[Estimate, ...]
@@ -68,11 +63,7 @@ def write_overlay(path: Path, overlay: Overlay) -> None:
 
 
 def overlay_text(overlay: Overlay, *, place: str = FILE_NAME) -> str:
-    """Return an overlay as the text of its file.
-
-    Args:
-        overlay: the effects.
-        place: how errors call it.
+    """Return an overlay as the text of its file; errors call it by its place.
 
     Raises:
         ValueError: an estimate that `read_overlay` would refuse.
@@ -113,12 +104,7 @@ def read_overlay(path: str | Path) -> Overlay:
 def active_effects(
     overlay: Overlay, library: Mapping[str, Effect], *, place: str = "the overlay"
 ) -> tuple[Active, ...]:
-    """Return the effects of an overlay at work.
-
-    Args:
-        overlay: names and values.
-        library: from `load_effects`.
-        place: how errors call the overlay.
+    """Return the effects of an overlay at work; errors call the overlay by its place.
 
     Raises:
         ValueError: an effect that the library does not have or that is named twice, a parameter
@@ -233,12 +219,7 @@ def _estimate_of(name: str, numbers: Any, place: str) -> Estimate:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted number.
-
-    Attributes:
-        name, unit: of the parameter.
-        value, low, high: with its interval of 95 %.
-    """
+    """A fitted number, with its interval of 95 %."""
 
     name: str
     unit: str

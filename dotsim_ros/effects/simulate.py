@@ -36,14 +36,8 @@ from dotsim_ros.twin.solver import PressSolver, Progress, SolveRequest, open_pre
 
 @dataclass(frozen=True)
 class EffectRequest:
-    """A recording to simulate.
-
-    Attributes:
-        recording: whose poses are followed.
-        values: the gel.
-        shift_m: (3,) of all poses, base frame.
-        effects: names and values of the effects at work.
-    """
+    """A recording to simulate, with a gel, a shift (3,) of all poses in the base frame, and names
+    and values of the effects at work."""
 
     recording: Recording
     values: GelValues
@@ -202,15 +196,8 @@ def open_solver(
     library: Mapping[str, Effect] | None = None,
     workers: Crew = 2,
 ) -> Iterator[EffectSolver]:
-    """Open a pool of workers that each hold the sensor's gel.
-
-    Args:
-        specification: the sensor.
-        skin: the skin's markers.
-        directory: where solves are kept.
-        library: effects by name; None for those shipped.
-        workers: how many processes, or workers of Ray.
-    """
+    """Open a pool of workers that each hold the sensor's gel and keep their solves in a directory;
+    the library None is that of the shipped effects."""
     with open_press_solver(specification, skin, directory, workers=workers) as presses:
         known = load_effects() if library is None else library
         yield EffectSolver(presses, specification, skin, known)

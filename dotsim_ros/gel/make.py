@@ -14,19 +14,26 @@ from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.bond import LooseBond
 from dotsim_ros.gel.explicit.gel import ExplicitGel, ExplicitSettings
 from dotsim_ros.gel.implicit.gel import ImplicitGel
-from dotsim_ros.gel.material import (
-    ElasticLaw,
-    Material,
-    MooneyRivlin,
-    NeoHookean,
-    PronySeries,
-    Yeoh,
-)
+from dotsim_ros.gel.material import NeoHookean, law_of, material_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, pad_skin
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.specification import GelSpecification, MaterialSpecification, SensorSpecification
+from dotsim_ros.specification import GelSpecification, SensorSpecification
+
+__all__ = [
+    "Gel",
+    "GelFrame",
+    "SingleExplicitGel",
+    "SingleImplicitGel",
+    "body_of",
+    "bond_of",
+    "law_of",
+    "make_gel",
+    "make_gel_batch",
+    "material_of",
+    "skin_of",
+]
 
 
 @dataclass(frozen=True)
@@ -96,27 +103,6 @@ def skin_of(specification: GelSpecification) -> SkinMesh:
         specification.skin_spacing_m,
         curvature_per_m=specification.face_curvature_per_m,
     )
-
-
-def law_of(specification: MaterialSpecification) -> ElasticLaw:
-    """Return the elastic law.
-
-    Raises:
-        ValueError: a constant is out of range.
-    """
-    s = specification
-    if s.law == "mooney_rivlin":
-        return MooneyRivlin(s.c10_pa, s.c01_pa, s.bulk_modulus_pa)
-    if s.law == "yeoh":
-        return Yeoh(s.c10_pa, s.c20_pa, s.c30_pa, s.bulk_modulus_pa)
-    return NeoHookean(s.youngs_modulus_pa, s.poisson_ratio)
-
-
-def material_of(specification: MaterialSpecification) -> Material:
-    """Return the law with its relaxation and density."""
-    s = specification
-    prony = PronySeries(s.prony_shares, s.prony_times_s)
-    return Material(law_of(s), prony, s.density_kg_m3)
 
 
 class SingleImplicitGel:

@@ -20,6 +20,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.specification import MaterialSpecification
+
 
 class ElasticLaw(Protocol):
     """A law that can be written with the coefficients C10, C01, C20, C30 and K."""
@@ -146,6 +148,27 @@ class Material:
     law: ElasticLaw
     prony: PronySeries = PronySeries()
     density_kg_m3: float = 1070.0
+
+
+def law_of(specification: MaterialSpecification) -> ElasticLaw:
+    """Return the elastic law.
+
+    Raises:
+        ValueError: a constant is out of range.
+    """
+    s = specification
+    if s.law == "mooney_rivlin":
+        return MooneyRivlin(s.c10_pa, s.c01_pa, s.bulk_modulus_pa)
+    if s.law == "yeoh":
+        return Yeoh(s.c10_pa, s.c20_pa, s.c30_pa, s.bulk_modulus_pa)
+    return NeoHookean(s.youngs_modulus_pa, s.poisson_ratio)
+
+
+def material_of(specification: MaterialSpecification) -> Material:
+    """Return the law with its relaxation and density."""
+    s = specification
+    prony = PronySeries(s.prony_shares, s.prony_times_s)
+    return Material(law_of(s), prony, s.density_kg_m3)
 
 
 def small_strain_moduli_pa(law: ElasticLaw) -> tuple[float, float]:

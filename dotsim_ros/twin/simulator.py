@@ -33,7 +33,7 @@ from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, quaternion_product
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import Float32Array, FloatArray
-from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.specification import GEL_PARAMETERS, SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, follow
 
 REFERENCE_MODULUS_PA = 3.0e5
@@ -80,11 +80,9 @@ def offset_pose(pose: Pose, offset: FloatArray) -> Pose:
 
 
 def gel_key(values: GelValues) -> tuple[float | tuple[float, ...], ...]:
-    """Return what a gel is recreated for, which takes as long as some presses; its friction, its
+    """Return what a gel is recreated for, which takes as long as some presses; its contact, its
     relaxation and its indenter can be changed."""
-    v = values
-    bond = (v.bond_slip_share, v.loose_patch_rad)
-    return (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m, *bond)
+    return tuple(getattr(values, p.field) for p in GEL_PARAMETERS.values() if p.is_elastic)
 
 
 def _face_height_m(body: Body, skin: SkinMesh) -> float:

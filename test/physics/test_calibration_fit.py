@@ -16,17 +16,10 @@ import trimesh
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.calibrate import calibrate
-from dotsim_ros.calibration.fitting import (
-    FitProblem,
-    PressLinearisation,
-    fit_press,
-    linearise,
-)
-from dotsim_ros.calibration.loss import CHAMFER, POINTS, SKIN, LossNoise, force_deviation_n
+from dotsim_ros.calibration.fitting import FitProblem, fit_press, linearise
+from dotsim_ros.calibration.loss import CHAMFER, POINTS, LossNoise, force_deviation_n
 from dotsim_ros.calibration.parameters import chosen_parameters, coordinates
-from dotsim_ros.calibration.report import figures, summary_lines
-from dotsim_ros.calibration.statistics import identifiability, joint_estimate
+from dotsim_ros.calibration.statistics import identifiability
 from dotsim_ros.cli.main import main
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import Observation
@@ -113,12 +106,6 @@ def problem_of(names: tuple[str, ...] = NAMES, **changes: object) -> FitProblem:
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
-@cache
-def linearised(seed: int, skin_loss: str = POINTS) -> PressLinearisation:
-    problem = problem_of(skin_loss=skin_loss)
-    return linearise(simulator(), observed(seed), problem, coordinates(problem.parameters, TRUTH))
-
-
 def adjoint_gradient(observation: Observation, values: GelValues) -> dict[str, float]:
     """Return the derivatives of the same loss by the fitted coordinates, through the adjoint."""
     specification = specification_with(SENSOR, values)
@@ -195,14 +182,14 @@ def test_the_skin_does_not_depend_on_youngs_modulus_and_the_force_is_proportiona
 
 
 def test_the_skin_alone_tells_nothing_of_youngs_modulus_and_the_force_a_few_percent() -> None:
-    rows = {
-        (r.parameter, r.data): r
-        for r in identifiability(problem_of(), [linearised(seed) for seed in range(3)])
-    }
+    problem = problem_of()
+    here = coordinates(problem.parameters, TRUTH)
+    press = linearise(simulator(), observed(0), problem, here)
+    rows = {(r.parameter, r.data): r for r in identifiability(problem, [press])}
     assert rows["E", "skin alone"].information == 0.0
     assert not rows["E", "skin alone"].is_told
     assert rows["E", "skin and force"].is_told
-    assert rows["E", "skin and force"].deviation < 0.05
+    assert rows["E", "skin and force"].deviation < 0.05 * np.sqrt(3.0)
 
 
 @pytest.mark.parametrize("skin_loss", [POINTS, CHAMFER])
@@ -210,6 +197,7 @@ def test_one_press_is_fitted_from_far_away(skin_loss: str) -> None:
     problem = problem_of(skin_loss=skin_loss)
     observation = observed(2)
     start = linearise(simulator(), observation, problem, problem.centre())
+    assert start.solve_count == 3
     fit = fit_press(simulator(), observation, problem, start, budget=15)
     assert fit.solve_count <= 15
     assert all(later < earlier for earlier, later in zip(fit.losses, fit.losses[1:], strict=False))
@@ -233,46 +221,6 @@ def test_differences_at_a_bound_are_taken_where_the_model_answers(beyond: float)
     assert found.point == pytest.approx(problem.centre(), abs=1e-12)
     ratio = found.total()[0] / expected.total()[0]
     assert ratio == pytest.approx(np.ones((1, 1)), rel=0.5)
-
-
-def test_a_fit_keeps_to_its_budget() -> None:
-    problem = problem_of()
-    start = linearise(simulator(), observed(2), problem, problem.centre())
-    assert start.solve_count == 3
-    fit = fit_press(simulator(), observed(2), problem, start, budget=4)
-    assert fit.solve_count <= 4
-    assert not fit.has_settled
-
-
-def test_intervals_cover_the_truth_of_simulated_presses() -> None:
-    """Gradients of white noise have the information as their covariance; next to it, each press has
-    parameters a little of its own, which no stated noise covers."""
-    problem = problem_of()
-    presses = [linearised(seed) for seed in range(6)]
-    truth = coordinates(problem.parameters, TRUTH)
-    # The prior is centred elsewhere and would pull: here it is at the truth.
-    problem = replace(problem, start=TRUTH)
-    random = np.random.default_rng(5)
-    own = np.array([0.03, 0.15, 0.1])
-    covered = []
-    for trial in range(300):
-        drawn = []
-        for press in random.choice(np.array(presses, dtype=object), size=12):
-            information = press.total()[0]
-            white = np.linalg.cholesky(information + 1e-9 * np.eye(3)) @ random.normal(size=3)
-            gradient = white - information @ (own * random.normal(size=3))
-            drawn.append(
-                replace(
-                    press,
-                    information={SKIN: information},
-                    gradient={SKIN: gradient},
-                    loss={SKIN: 0.0},
-                )
-            )
-        found = joint_estimate(problem, drawn, replicates=200, seed=trial)
-        covered.append((found.low <= truth) & (truth <= found.high))
-    # 0.95, of 300 within four deviations, and a little less for so few presses.
-    assert np.all(np.mean(covered, axis=0) > 0.88)
 
 
 def write_data_set(directory: Path, seeds: range, values: GelValues = TRUTH) -> None:
@@ -336,21 +284,3 @@ def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path: Path
     assert values_of(load_sensor(out)) == fitted
     again = [path for path in files if path.stat().st_mtime_ns != written[path]]
     assert again == [torn]
-
-
-def test_a_joint_fit_that_leads_beyond_a_bound_ends_there_and_says_so(tmp_path: Path) -> None:
-    # More compressible than is searched.
-    write_data_set(tmp_path / "data", range(3), replace(TRUTH, poisson_ratio=0.05))
-    found = calibrate(
-        tmp_path / "data",
-        sensor=SENSOR,
-        fit=("E", "nu"),
-        hold_out=0,
-        noise=NOISE,
-        workers=1,
-        solves=12,
-    )
-    assert found.values.poisson_ratio == 0.2
-    assert found.values.youngs_modulus_pa == pytest.approx(TRUTH.youngs_modulus_pa, rel=0.15)
-    assert figures(found, seed=0)["parameters"]["nu"]["joint"]["at_bound"]
-    assert "nu (joint): 0.2, the end of what is searched and no estimate" in summary_lines(found)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,6 @@ from dotsim_ros.calibration.report import figures, summary_lines
 from dotsim_ros.calibration.run import check_modulus
 from dotsim_ros.calibration.statistics import (
     Combination,
-    identifiability,
     joint_estimate,
     joint_step,
     median_estimate,
@@ -58,52 +57,24 @@ def problem_of(*names: str, with_offset: bool = False) -> FitProblem:
     return FitProblem(chosen_parameters(names), values_of(SENSOR), LossNoise(), POINTS, with_offset)
 
 
-def test_values_of_a_sensor_come_back_from_its_file(tmp_path: Path) -> None:
-    values = replace(
-        values_of(SENSOR),
-        youngs_modulus_pa=2e5,
-        contact_stiffness=30.0,
-        c20_ratio=0.1,
-        thickness_m=9e-3,
-    )
-    path = tmp_path / "a.yaml"
-    write_sensor(path, specification_with(SENSOR, values), "one\ntwo")
-    read = values_of(load_sensor(path))
-    for name, value in asdict(values).items():
-        assert getattr(read, name) == pytest.approx(value, rel=1e-9)
-    assert path.read_text().startswith("# one\n# two\n")
-
-
-def test_a_gel_without_stiffening_stays_neo_hookean() -> None:
-    specification = specification_with(SENSOR, values_of(SENSOR))
-    assert specification.material.law == "neo_hookean"
-    assert specification.material.youngs_modulus_pa == pytest.approx(3e5)
-
-
-def test_coordinates_are_inverted_within_the_bounds() -> None:
-    parameters = chosen_parameters(["E", "nu", "friction", "contact_stiffness", "c30", "thickness"])
+def test_parameters_go_by_their_names_and_stay_within_their_bounds(tmp_path: Path) -> None:
     values = values_of(SENSOR)
-    point = coordinates(parameters, values)
-    back = with_coordinates(values, parameters, point)
-    assert back.poisson_ratio == pytest.approx(values.poisson_ratio, rel=1e-12)
-    far = with_coordinates(values, parameters, point + 100.0)
-    assert far.youngs_modulus_pa == 1e8
-    assert far.poisson_ratio == 0.2
-    assert far.friction == 3.0
-    assert far.contact_stiffness == 1e3
-
-
-def test_bulk_modulus_is_poissons_ratio_by_another_name() -> None:
+    parameters = chosen_parameters(["E", "nu", "friction", "contact_stiffness", "c30", "thickness"])
+    far = with_coordinates(values, parameters, coordinates(parameters, values) + 100.0)
+    assert (far.youngs_modulus_pa, far.poisson_ratio, far.friction) == (1e8, 0.2, 3.0)
     (bulk,) = chosen_parameters(["bulk_modulus"])
-    assert shown_value(bulk, values_of(SENSOR)) == pytest.approx(3e5 / (3 * (1 - 0.96)))
-    with pytest.raises(ValueError, match="one, given E"):
-        chosen_parameters(["nu", "bulk_modulus"])
-
-
-@pytest.mark.parametrize(("names", "said"), [(["F"], "known are E"), ([], "nothing to fit")])
-def test_other_names_are_refused(names: list[str], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        chosen_parameters(names)
+    assert shown_value(bulk, values) == pytest.approx(3e5 / (3 * (1 - 0.96)))
+    for names, said in (
+        (["nu", "bulk_modulus"], "one, given E"),
+        (["F"], "known are E"),
+        ([], "no"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            chosen_parameters(names)
+    path = tmp_path / "a.yaml"
+    write_sensor(path, specification_with(SENSOR, replace(values, c20_ratio=0.1)), "one\ntwo")
+    assert values_of(load_sensor(path)).c20_ratio == pytest.approx(0.1, rel=1e-9)
+    assert path.read_text().startswith("# one\n# two\n")
 
 
 def test_a_law_with_a_second_invariant_is_refused() -> None:
@@ -112,14 +83,6 @@ def test_a_law_with_a_second_invariant_is_refused() -> None:
     )
     with pytest.raises(ValueError, match="neo_hookean or yeoh"):
         values_of(replace(SENSOR, material=material))
-
-
-def test_an_offset_moves_along_the_indenters_axes() -> None:
-    quarter = Pose(np.array([1.0, 2.0, 3.0]), [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
-    moved = offset_pose(quarter, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.02]))
-    assert moved.position_m == pytest.approx([1.0, 2.1, 3.0])
-    turned = quarter.rotation().T @ moved.rotation()
-    assert turned[1, 0] == pytest.approx(0.02, rel=1e-3)
 
 
 def one_frame_press(skin_m: Array, force_n: Array) -> Press:
@@ -146,14 +109,12 @@ def test_a_shift_is_weighed_by_the_noise_point_to_point() -> None:
     assert found[FORCE] == pytest.approx([0.0, 0.0, 0.12 / np.hypot(0.015, 0.12)])
 
 
-def test_points_that_err_together_tell_no_more_than_one() -> None:
-    fine, coarse = dome_skin(0.01575, 1e-3), SKIN_MESH
-    noise = LossNoise(skin_m=1e-9)
-    told = [mesh.vertex_count / noise.skin_point_m(mesh) ** 2 for mesh in (fine, coarse)]
-    assert told[0] == pytest.approx(told[1], rel=0.2)
-
-
 def test_chamfer_needs_no_order_of_the_points() -> None:
+    # Points that err together tell no more than one.
+    noise = LossNoise(skin_m=1e-9)
+    meshes = dome_skin(0.01575, 1e-3), SKIN_MESH
+    told = [mesh.vertex_count / noise.skin_point_m(mesh) ** 2 for mesh in meshes]
+    assert told[0] == pytest.approx(told[1], rel=0.2)
     rest = SKIN_MESH.rest_position_m
     moved = rest + np.array([0.0, 0.0, 0.2e-3])
     simulated = SimulatedPress(moved[None], np.zeros((1, 3)), True)
@@ -165,6 +126,14 @@ def test_chamfer_needs_no_order_of_the_points() -> None:
     assert found[0] == pytest.approx(found[1])
     expected = len(rest) * (0.2e-3 / LossNoise().skin_point_m(SKIN_MESH)) ** 2
     assert found[0] == pytest.approx(expected)
+
+
+def test_an_offset_moves_along_the_indenters_axes() -> None:
+    quarter = Pose(np.array([1.0, 2.0, 3.0]), [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    moved = offset_pose(quarter, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.02]))
+    assert moved.position_m == pytest.approx([1.0, 2.1, 3.0])
+    turned = quarter.rotation().T @ moved.rotation()
+    assert turned[1, 0] == pytest.approx(0.02, rel=1e-3)
 
 
 def linear_press(
@@ -179,22 +148,6 @@ def linear_press(
         1,
         True,
     )
-
-
-def test_the_skin_alone_does_not_tell_youngs_modulus() -> None:
-    problem = problem_of("E", "nu")
-    random = np.random.default_rng(1)
-    skin = random.normal(size=(50, 2))
-    skin[:, 0] = 0.0
-    jacobian = {SKIN: skin, FORCE: 20.0 * random.normal(size=(9, 2))}
-    press = linear_press(jacobian, {c: np.zeros(len(j)) for c, j in jacobian.items()}, np.zeros(2))
-    rows = {(r.parameter, r.data): r for r in identifiability(problem, [press])}
-    alone = rows["E", "skin alone"]
-    assert alone.information == 0.0
-    assert alone.deviation == pytest.approx(alone.prior_deviation)
-    assert not alone.is_told
-    assert rows["E", "skin and force"].is_told
-    assert rows["nu", "skin alone"].is_told
 
 
 def test_a_press_own_offset_is_eliminated_as_if_all_were_solved_together() -> None:
@@ -230,7 +183,7 @@ def test_intervals_of_linear_presses_cover_the_truth_as_often_as_they_say() -> N
     random = np.random.default_rng(3)
     truth = problem.centre() + np.array([0.1, -0.3])
     covered = []
-    for trial in range(200):
+    for trial in range(80):
         presses, fits = [], []
         for _ in range(19):
             jacobian = random.normal(size=(12, 2)) * [4.0, 2.0]
@@ -239,12 +192,12 @@ def test_intervals_of_linear_presses_cover_the_truth_as_often_as_they_say() -> N
             presses.append(linear_press({FORCE: jacobian}, {FORCE: residual}, problem.centre()))
             alone = np.linalg.lstsq(jacobian, -residual)[0]
             fits.append(PressFit(replace(presses[-1], point=problem.centre() + alone), [], 1, True))
-        joint = joint_estimate(problem, presses, replicates=300, seed=trial)
-        median = median_estimate(problem, fits, replicates=300, seed=trial)
+        joint = joint_estimate(problem, presses, replicates=200, seed=trial)
+        median = median_estimate(problem, fits, replicates=200, seed=trial)
         covered.append([(c.low <= truth) & (truth <= c.high) for c in (joint, median)])
     share = np.mean(covered, axis=0)
-    # 0.95 within four deviations of a share of 200.
-    assert np.all(share > 0.88)
+    # 0.95 within four deviations of a share of 80.
+    assert np.all(share > 0.85)
     assert np.all(share[0] < 1.0)
 
 
@@ -269,10 +222,8 @@ def test_the_interval_of_one_press_is_that_of_its_information() -> None:
 def test_forces_show_the_modulus_that_scales_them() -> None:
     problem = problem_of("E")
     simulated = np.array([0.5, 1.0, 2.0])
-    measured = 3.0 * simulated
-    press = linear_press(
-        {FORCE: simulated[:, None]}, {FORCE: simulated - measured}, problem.centre()
-    )
+    residual = {FORCE: simulated - 3.0 * simulated}
+    press = linear_press({FORCE: simulated[:, None]}, residual, problem.centre())
     start_pa = problem.start.youngs_modulus_pa
     assert shown_modulus_pa(problem, [press, press]) == pytest.approx(3.0 * start_pa)
     assert shown_modulus_pa(problem_of("nu"), [press]) is None
@@ -307,7 +258,7 @@ def test_a_value_at_the_end_of_what_is_searched_is_no_estimate() -> None:
     assert "nu (joint): 0.4999, the end of what is searched and no estimate\n" in text
 
 
-DEEP, SHALLOW, SLIDING = 0.0130, 0.0152, 0.0130
+DEEP, SHALLOW = 0.0130, 0.0152
 
 
 def observed_press(
@@ -327,46 +278,19 @@ def observed_press(
 def test_each_reason_why_data_identify_nothing_has_its_own_words(
     answered: Callable[..., None],
 ) -> None:
-    both = (POINTS, FORCE)
+    deep, both = observed_press(DEEP), (POINTS, FORCE)
     cases = {
         "E without force": ("E", observed_press(DEEP, force_n=None), both, "--wrench-topic"),
-        "E with --loss points": (
-            "E",
-            observed_press(DEEP, force_n=None),
-            (POINTS,),
-            "--loss leaves out",
-        ),
-        "E with forces of noise": (
-            "E",
-            observed_press(SHALLOW, force_n=0.02),
-            both,
-            "hardly more than the noise",
-        ),
-        "E with a force of large error": ("E", observed_press(DEEP), both, "error of the force"),
-        "E with a start that is far away": (
-            "E",
-            observed_press(DEEP),
-            both,
-            r"some 4e\+03 Pa, and the fit begins at 3e\+05",
-        ),
-        "nu with shallow presses": (
-            "nu",
-            observed_press(SHALLOW),
-            both,
-            r"deepest press goes 0\.\d+ mm into the gel",
-        ),
-        "friction without a slide": (
-            "friction",
-            observed_press(DEEP),
-            both,
-            r"no press slides more than 0\.00 mm",
-        ),
+        "E with --loss points": ("E", deep, (POINTS,), "--loss leaves out"),
+        "E with forces of noise": ("E", observed_press(SHALLOW, force_n=0.02), both, "hardly more"),
+        "E with a force of large error": ("E", deep, both, "error of the force"),
+        "E with a start that is far away": ("E", deep, both, r"some 4e\+03 Pa, and the fit begins"),
+        "nu with shallow presses": ("nu", observed_press(SHALLOW), both, r"goes 0\.\d+ mm into"),
+        "friction without a slide": ("friction", deep, both, r"slides more than 0\.00 mm"),
         "c20 without a skin": ("c20", observed_press(DEEP, has_skin=False), both, "in the skin"),
         "friction with too few slides": (
-            "friction",
-            observed_press(SLIDING, slide_m=2e-3),
-            both,
-            "1 presses with the stated",
+            *("friction", observed_press(DEEP, slide_m=2e-3)),
+            *(both, "1 presses with the stated"),
         ),
     }
     said = set()
@@ -384,23 +308,15 @@ def test_each_reason_why_data_identify_nothing_has_its_own_words(
         said.add(found)
         answered(f"{name}: {found}", what=what)
     assert len(said) == len(cases)
-
-
-def test_a_press_beside_the_middle_of_a_pad_is_no_slide() -> None:
-    skin = pad_skin((0.02, 0.016, 0.004), 1e-3)
-    poses = [Pose(np.array([7e-3, 5e-3, z])) for z in (4.2e-3, 3.0e-3, 2.0e-3)]
+    # A press next to the middle of a pad goes no way along its skin, unless it slides there.
+    pad = pad_skin((0.02, 0.016, 0.004), 1e-3)
     for slide_m, words in ((0.0, "no press slides more than 0.00 mm"), (1e-3, "leave it open")):
-        way = [*poses, Pose(np.array([7e-3 + slide_m, 5e-3, 2.0e-3]))]
-        measured = np.repeat(skin.rest_position_m[None], 4, axis=0)
-        press = Press("a", "ball", way, np.arange(4.0), measured, None)
-        found = why_not_identified(
-            problem_of("friction"),
-            ["friction"],
-            [Observation(press, sphere(0.004))],
-            skin,
-            losses=(POINTS,),
-            topics=Topics(),
-        )
+        places = ((7e-3, 4.2e-3), (7e-3, 2.0e-3), (7e-3 + slide_m, 2.0e-3))
+        way = [Pose(np.array([x, 5e-3, z])) for x, z in places]
+        measured = np.repeat(pad.rest_position_m[None], 3, axis=0)
+        press = Observation(Press("a", "ball", way, np.arange(3.0), measured), sphere(0.004))
+        given = {"losses": (POINTS,), "topics": Topics()}
+        found = why_not_identified(problem_of("friction"), ["friction"], [press], pad, **given)
         assert words in found["friction"]
 
 

@@ -57,19 +57,12 @@ BROKEN: dict[str, tuple[str | bytes, str]] = {
         "EFFECT = 1 / 0\n",
         "cannot be run: ZeroDivisionError: division by",
     ),
-    "an import that is not there": (
-        "from nowhere import EFFECT\n",
-        "ModuleNotFoundError: No",
-    ),
     "sys.exit": (
         "import sys\nEFFECT = sys.exit(3)\n",
         "cannot be run: SystemExit: 3; expected a",
     ),
     "not UTF-8": ("# gr\u00f6\u00dfer\n".encode("latin-1"), "is no Python.*a program in UTF-8"),
-    "not UTF-8 further down": (b"x = 1\n" * 9 + b"y = '\xf6'\n", "is no text in UTF-8 .byte 59."),
     "a zero byte": (b"x = 1\x00\n", r"is no Python|cannot be run"),
-    "empty": ("", "holds no EFFECT, expected a dotsim_ros"),
-    "an EFFECT that is a dictionary": ("EFFECT = {'name': 'own'}\n", "an EFFECT that is a dict"),
     "another name": (
         GOOD.replace('"own"', '"other"'),
         "holds the effect 'other', expected its own",
@@ -90,25 +83,13 @@ BROKEN: dict[str, tuple[str | bytes, str]] = {
         GOOD.replace(", response=_response", ""),
         "the effect has no hook, expected one of",
     ),
-    "a hook that is no function": (
-        GOOD.replace("response=_response", "response=3"),
-        "the hook response is 3, expected a function",
-    ),
     "a hook of too many arguments": (
         GOOD.replace("def _response(values)", "def _response(values, recording)"),
         r"the hook response cannot be called with 1 argument .*docs/extend\.md",
     ),
-    "a filter of too many arguments": (
-        GOOD.replace("lambda response:", "lambda stamp_s, response:"),
-        "what the hook response returns cannot be called with 1 argument",
-    ),
     "a hook that asks for another parameter": (
         GOOD.replace('values["share"]', 'values["size"]'),
         r"the hook response fails with the probes \{'share': 0\.5\}: KeyError: 'size'",
-    ),
-    "a hook that returns no filter": (
-        GOOD.replace("return lambda", "lambda"),
-        "what the hook response returns is None, expected a function",
     ),
     "an excited_by without an argument": (
         GOOD.replace("lambda recording: True", "lambda: True"),

@@ -20,7 +20,7 @@ from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisat
 from dotsim_ros.calibration.loss import FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.loss import SKIN as SKIN_CHANNEL
 from dotsim_ros.calibration.parameters import chosen_parameters
-from dotsim_ros.calibration.stages import Outcome, Task, Workers, task_key
+from dotsim_ros.calibration.stages import Task, Workers, task_key
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import Observation
 from dotsim_ros.data.recording import Phase, Recording
@@ -170,9 +170,7 @@ def test_a_solve_is_kept_under_all_that_decides_it(
 
 BROKEN: dict[str, bytes] = {
     "empty": b"",
-    "cut short": b"PK\x03\x04\x14\x00",
     "of something else": b"\x00" * 2000,
-    "a text": b"no archive",
 }
 
 
@@ -241,7 +239,7 @@ def test_a_broken_solve_is_computed_anew(
 PROBLEM = FitProblem(chosen_parameters(["E", "nu"]), values_of(SENSOR), LossNoise(), POINTS)
 
 
-def fitted(task: Task) -> Outcome:
+def fitted(task: Task) -> PressFit:
     size = task.problem.size
     channels = (SKIN_CHANNEL, FORCE)
     found = PressLinearisation(
@@ -253,10 +251,10 @@ def fitted(task: Task) -> Outcome:
         3,
         True,
     )
-    return Outcome(task.observation.press.name, PressFit(found, [2.0], 3, True))
+    return PressFit(found, [2.0], 3, True)
 
 
-def stage(folder: Path, pool: Pool, observation: Observation, **changes: Any) -> dict[str, Outcome]:
+def stage(folder: Path, pool: Pool, observation: Observation, **changes: Any) -> dict[str, Any]:
     given = {"sensor": SENSOR, "skin": SKIN, "problem": PROBLEM, **changes}
     problem: FitProblem = given["problem"]
     point = problem.centre()
@@ -280,11 +278,9 @@ def test_a_stage_of_a_calibration_is_kept_under_all_that_decides_it(tmp_path: Pa
     pool = Pool(fitted)
     ball = mesh_of(sphere(0.004), tmp_path)
     assert ball.mesh is not None
-    first = stage(tmp_path, pool, observation_of(ball))["press"].fit
-    again = stage(tmp_path, pool, observation_of(ball))["press"].fit
+    first = stage(tmp_path, pool, observation_of(ball))["press"]
+    again = stage(tmp_path, pool, observation_of(ball))["press"]
     assert pool.count == 1
-    assert first is not None
-    assert again is not None
     assert np.array_equal(
         first.best.information[SKIN_CHANNEL], again.best.information[SKIN_CHANNEL]
     )
@@ -323,7 +319,6 @@ SPOILT_STAGE: dict[str, Callable[[Path], Any]] = {
     **{what: (lambda path, c=content: path.write_bytes(c)) for what, content in BROKEN.items()},
     "half of it": lambda path: path.write_text(path.read_text()[:400]),
     "a list": lambda path: path.write_text("[1, 2]"),
-    "a fit that is none": json_with(lambda record: record | {"fit": 7}),
     "a fit without a gradient": json_with(without_best),
     "a fit of another size": json_with(of_another_size),
     "neither fit nor error": json_with(lambda record: {"key": record["key"]}),
@@ -343,9 +338,9 @@ def test_a_broken_stage_is_computed_anew(
     path = tmp_path / "start" / "press.json"
     SPOILT_STAGE[what](path)
     with caplog.at_level(logging.WARNING):
-        found = stage(tmp_path, pool, observation)["press"].fit
+        found = stage(tmp_path, pool, observation)["press"]
     assert pool.count == 2
-    assert found is not None
+    assert isinstance(found, PressFit)
     (line,) = [record.getMessage() for record in caplog.records]
     assert line.startswith(f"{path} cannot be used and is computed again: ")
     stage(tmp_path, pool, observation)

@@ -57,11 +57,8 @@ def forces_n(session: SensorSession, *depth_mm: float) -> list[float]:
     return [float(moment.gel.wrench.force_n[2]) for moment in moments]
 
 
-def test_a_sensor_without_an_effect_on_the_gel_is_the_same() -> None:
-    assert specification_with_effects(OWN, [active("force_scale")]) is OWN
-
-
 def test_effects_on_the_gel_change_the_specification() -> None:
+    assert specification_with_effects(OWN, [active("force_scale")]) is OWN
     effects = [
         active("coulomb_slip", friction_ratio=0.5),
         active("thickness_error", thickness_share=0.1),
@@ -74,23 +71,17 @@ def test_effects_on_the_gel_change_the_specification() -> None:
     assert changed.gel.core_radius_m == pytest.approx(OWN.gel.outer_radius_m - 1.1 * thickness_m)
     assert (changed.material.prony_shares, changed.material.prony_times_s) == ((0.3,), (2.0,))
     assert (changed.camera, changed.solver) == (OWN.camera, OWN.solver)
-
-
-def test_an_effect_on_a_gel_of_a_law_that_it_does_not_know_is_refused() -> None:
     material = MaterialSpecification(
         law="mooney_rivlin", c10_pa=4e4, c01_pa=1e4, bulk_modulus_pa=2e6
     )
     with pytest.raises(ValueError, match="expected neo_hookean or yeoh"):
-        specification_with_effects(replace(OWN, material=material), [active("coulomb_slip")])
+        specification_with_effects(replace(OWN, material=material), effects)
 
 
-def test_a_scaled_force_keeps_its_line_of_action() -> None:
+def test_a_scaled_force_keeps_its_line_of_action_and_one_out_of_nothing_acts_at_the_tip() -> None:
     wrench = Wrench(np.array([0.0, 0.5, 2.0]), np.array([0.01, -0.02, 0.003]))
     scaled = wrench_with_force(wrench, 1.1 * wrench.force_n, np.array([0.0, 0.0, 0.014]))
     assert scaled.torque_nm == pytest.approx(1.1 * wrench.torque_nm)
-
-
-def test_a_force_out_of_nothing_acts_at_the_tip() -> None:
     pulled = wrench_with_force(Wrench(), np.array([0.0, 0.0, -0.1]), np.array([2e-3, 0.0, 0.016]))
     assert pulled.force_n.tolist() == [0.0, 0.0, -0.1]
     assert pulled.torque_nm == pytest.approx([0.0, 2e-4, 0.0])
@@ -163,21 +154,10 @@ def test_an_effect_on_the_image_leaves_the_rest_alone(sensor: TactileSensor) -> 
     assert red.timings_s["effects"] > 0.0
 
 
-def test_daylight_falls_on_the_side_of_the_live_skin_that_faces_it(sensor: TactileSensor) -> None:
-    motion = MotionOrder(pressed(0.8), STEP_NS, None)
-    plain = session_of(sensor).follow(motion).render()
-    light = active("daylight", added_share=0.1, azimuth_rad=0.0, elevation_rad=0.0)
-    lit = session_of(sensor, light).follow(motion).render()
-    added = lit.image.astype(float) - plain.image
-    middle = plain.image.shape[1] // 2
-    assert added[:, middle:].mean() > 2.0 * added[:, :middle].mean() > 0.0
-    assert not added[np.isnan(plain.depth_m)].any()
-
-
 def test_motion_blur_needs_a_motion(sensor: TactileSensor) -> None:
     def images(session: SensorSession) -> list[np.ndarray]:
-        # The first frame comes from nowhere, the second one drags the skin, the third one rests.
-        poses = [Pose(np.array([x, 0.0, APEX_M - 1e-3])) for x in (0.0, 1e-3, 1e-3)]
+        # The first frame comes from nowhere, the second one drags the skin.
+        poses = [Pose(np.array([x, 0.0, APEX_M - 1e-3])) for x in (0.0, 1e-3)]
         moments = [
             session.follow(MotionOrder(pose, (k + 1) * STEP_NS, None))
             for k, pose in enumerate(poses)
@@ -189,7 +169,6 @@ def test_motion_blur_needs_a_motion(sensor: TactileSensor) -> None:
     change = [np.abs(b - s).max() for b, s in zip(blurred, sharp, strict=True)]
     assert change[0] == 0.0
     assert change[1] > 5.0
-    assert change[2] <= 1.0
 
 
 def test_the_motion_of_the_image_is_that_of_the_points_it_shows(sensor: TactileSensor) -> None:

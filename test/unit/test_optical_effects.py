@@ -3,13 +3,14 @@
 
 """The optical effects: each against its closed form, and none of them at its none-values."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.recording import Phase, Recording
-from dotsim_ros.effects.builtin.camera import disc_px
 from dotsim_ros.effects.effect import IMAGE, Active, SeenImage, image_filters
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.optical_terms import sampled
@@ -20,21 +21,6 @@ HEIGHT, WIDTH = 48, 64
 CENTRE = np.array([33.0, 22.0])
 FOCAL = 16.0
 EFFECTS = {name: effect for name, effect in load_effects().items() if effect.image is not None}
-STATIC = (
-    "ambient_light",
-    "camera_displacement",
-    "camera_extrinsics",
-    "camera_intrinsics",
-    "daylight",
-    "defocus",
-    "gamma",
-    "led_imbalance_blue",
-    "led_imbalance_green",
-    "led_imbalance_red",
-    "saturation",
-    "vignetting",
-    "worn_coat",
-)
 MOVING = ("motion_blur", "rolling_shutter")
 
 
@@ -78,50 +64,30 @@ def recording_of(phase, *, speed_m_s=0.0, session_s=0.0):
     return Recording(press, None, session_s, np.full(3, 1e-3), (Phase.IDLE, phase, phase))
 
 
-def test_the_optical_half_of_the_library_is_complete():
-    assert set(EFFECTS) == {*STATIC, *MOVING, "auto_exposure", "led_dimming"}
-    for effect in EFFECTS.values():
-        assert effect.channels == (IMAGE,)
-        assert not effect.needs_solve
-        assert effect.parameters[0].none is not None
-
-
 @pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_an_effect_of_no_size_changes_nothing(name):
-    nothing = {p.name: p.none for p in EFFECTS[name].parameters if p.none is not None}
-    image = seen_image()
-    # What is resampled is so in single precision.
-    np.testing.assert_allclose(seen_with(name, image, **nothing), image.pixels, rtol=1e-6)
-
-
-@pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_every_probe_lies_in_range_and_stays_on_the_scale(name):
+def test_an_effect_of_no_size_changes_nothing_and_no_probe_leaves_the_scale_or_its_input(name):
     effect = EFFECTS[name]
+    assert effect.channels == (IMAGE,)
+    nothing = {p.name: p.none for p in effect.parameters if p.none is not None}
     image = seen_image(pixels=np.linspace(0.0, 255.0, HEIGHT * WIDTH * 3).reshape(HEIGHT, WIDTH, 3))
-    for parameter in effect.parameters:
-        assert parameter.probes
-        for probe in parameter.probes:
-            assert parameter.low <= probe <= parameter.high
-            seen = seen_with(name, image, **{parameter.name: probe})
-            assert seen.shape == image.pixels.shape
-            assert seen.min() >= 0.0
-            assert seen.max() <= 255.0
-
-
-@pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_a_filter_changes_no_input_and_repeats_itself(name):
-    effect = EFFECTS[name]
-    image = seen_image(idle=np.full((HEIGHT, WIDTH, 3), 80.0))
+    image = replace(image, idle=image.pixels)
+    # What is resampled is so in single precision.
+    np.testing.assert_allclose(
+        seen_with(name, image, **nothing), image.pixels, rtol=1e-6, atol=1e-4
+    )
     before = image.pixels.copy()
-    one = effect.image(effect.checked({}))
-    first, second = one(image), one(image)
-    np.testing.assert_array_equal(first, second)
-    np.testing.assert_array_equal(effect.image(effect.checked({}))(image), first)
-    np.testing.assert_array_equal(image.pixels, before)
-    assert np.abs(first - before).max() > 0.0 or name == "saturation"
+    for probe in effect.parameters[0].probes:
+        one = effect.image(effect.checked({effect.parameters[0].name: probe}))
+        seen = one(image)
+        assert 0.0 <= seen.min() <= seen.max() <= 255.0
+        np.testing.assert_array_equal(one(image), seen)
+        np.testing.assert_array_equal(image.pixels, before)
+    if name in MOVING:
+        still = seen_image(flow_px_s=np.zeros((HEIGHT, WIDTH, 2)))
+        np.testing.assert_array_equal(seen_with(name, still), still.pixels)
 
 
-@pytest.mark.parametrize("shift", [0.04, 0.12, 0.25, 0.5, 0.7, -0.12, 1.3])
+@pytest.mark.parametrize("shift", [0.12, -0.12, 1.3])
 def test_a_slope_is_looked_up_at_its_place(shift):
     x, y = np.meshgrid(np.arange(20.0), np.arange(16.0))
     slope = np.repeat((3.0 * x + 2.0 * y)[..., None], 3, axis=2)
@@ -151,15 +117,6 @@ def test_a_centre_that_moves_by_whole_pixels_shifts_the_image(aspect):
         shift_y_rad=-3.0 / FOCAL,
     )
     np.testing.assert_allclose(seen[:-3, 2:], image.pixels[3:, :-2], rtol=1e-6)
-
-
-def test_a_longer_lens_enlarges_about_the_optical_axis():
-    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
-    cone = np.repeat(np.hypot(x - CENTRE[0], y - CENTRE[1])[..., None], 3, axis=2)
-    seen = seen_with("camera_intrinsics", seen_image(pixels=cone), focal_ratio=1.05)
-    inner = (slice(5, 40), slice(5, 55))
-    far = cone[inner] > 3.0
-    np.testing.assert_allclose(seen[inner][far], cone[inner][far] / 1.05, atol=0.1)
 
 
 @pytest.mark.parametrize("aspect", [1.0, 1.2])
@@ -208,32 +165,6 @@ def test_a_displaced_camera_sees_each_point_from_its_new_place(moved_m):
     assert np.abs(expected - image.pixels)[near].max() > 1.0
 
 
-def test_near_skin_moves_farther_than_far_skin():
-    # Left of the axis the skin is at half the distance; the image is a ramp along x.
-    depth_m = np.where(np.arange(WIDTH) < 33, 7.5e-3, 15e-3) * np.ones((HEIGHT, 1))
-    ramp = np.broadcast_to(3.0 * np.arange(WIDTH)[None, :, None], (HEIGHT, WIDTH, 3))
-    seen = seen_with("camera_displacement", seen_image(pixels=ramp, depth_m=depth_m), x_m=3e-4)
-    moved_px = (seen[22, :, 0] - ramp[22, :, 0]) / 3.0
-    # Where the ray is across the motion all of it shows: t / s radians.
-    assert moved_px[36] == pytest.approx(FOCAL * 3e-4 / 15e-3, rel=0.05)
-    assert moved_px[29] == pytest.approx(FOCAL * 3e-4 / 7.5e-3, rel=0.05)
-    far = seen_image(depth_m=np.full((HEIGHT, WIDTH), 1e3))
-    np.testing.assert_allclose(
-        seen_with("camera_displacement", far, x_m=5e-4), far.pixels, atol=1e-3
-    )
-
-
-def test_the_circle_of_confusion_is_that_of_a_thin_lens():
-    # A pupil of 0.4 mm, in focus at 20 mm, at 10 mm: 0.4e-3 (100 - 50) = 0.02 rad.
-    depth_m = np.full((HEIGHT, WIDTH), 10e-3)
-    depth_m[0], depth_m[1] = 20e-3, np.nan
-    diameter = disc_px(
-        seen_image(depth_m=depth_m), pupil_area_m2=0.25 * np.pi * 0.4e-3**2, focus_m=20e-3
-    )
-    np.testing.assert_allclose(diameter[2:], FOCAL * 0.02)
-    np.testing.assert_array_equal(diameter[:2], 0.0)
-
-
 def seen_through_discs(diameter_px, pixels):
     """Return pixels of skin at 10 mm, each spread over a disc of so many pixels."""
     pupil_m = diameter_px / FOCAL / (1.0 / 10e-3 - 1.0 / 20e-3)
@@ -241,7 +172,7 @@ def seen_through_discs(diameter_px, pixels):
     return seen_with("defocus", image, pupil_area_m2=0.25 * np.pi * pupil_m**2, focus_m=20e-3)
 
 
-@pytest.mark.parametrize("diameter_px", [0.3, 1.0, 2.5, 4.4, 12.0])
+@pytest.mark.parametrize("diameter_px", [0.3, 2.5, 12.0])
 def test_an_edge_out_of_focus_is_as_wide_as_its_disc(diameter_px):
     step = np.where(np.arange(WIDTH) < 32, 40.0, 200.0)
     pixels = np.broadcast_to(step[None, :, None], (HEIGHT, WIDTH, 3))
@@ -251,17 +182,6 @@ def test_an_edge_out_of_focus_is_as_wide_as_its_disc(diameter_px):
     variance = slope @ place**2 - (slope @ place) ** 2
     # The variance of a disc along an axis.
     assert variance == pytest.approx(diameter_px**2 / 16.0, rel=1e-6)
-
-
-def test_a_large_disc_blurs_an_edge_by_its_chords():
-    diameter_px = 12.0
-    step = np.where(np.arange(WIDTH) < 32, 0.0, 200.0)
-    edge = seen_through_discs(
-        diameter_px, np.broadcast_to(step[None, :, None], (HEIGHT, WIDTH, 3))
-    )[22, :, 0]
-    t = np.clip((np.arange(WIDTH) - 31.5) / (0.5 * diameter_px), -1.0, 1.0)
-    share = 0.5 + (np.arcsin(t) + t * np.sqrt(1.0 - t**2)) / np.pi
-    np.testing.assert_allclose(edge / 200.0, share, atol=0.015)
 
 
 def test_skin_in_focus_stays_sharp_beside_skin_that_is_not():
@@ -296,23 +216,6 @@ def test_daylight_falls_on_the_side_that_faces_it():
     assert daylit(0.5 * np.pi, 0.0, 1.0)[22 + 20, 33] > 0.9
 
 
-def test_a_hemisphere_has_three_quarters_of_the_sky_above_it_and_half_of_a_lamp_s():
-    # By area: sin(a) da at the angle a from the axis, along a row from the axis to the rim.
-    weight = np.sin(np.arange(26) / FOCAL)
-    for diffuse_share, share in ((1.0, 0.75), (0.0, 0.5)):
-        added = daylit(0.0, 0.5 * np.pi, diffuse_share)[22, 33 : 33 + 26]
-        assert np.average(added, weights=weight) == pytest.approx(share, abs=0.02)
-
-
-def test_daylight_falls_on_skin_alone():
-    normal = -rays()
-    normal[:10] = np.nan
-    image = seen_image(normal=normal)
-    seen = seen_with("daylight", image)
-    np.testing.assert_array_equal(seen[:10], image.pixels[:10])
-    assert np.all(seen[12:] >= image.pixels[12:])
-
-
 def test_vignetting_falls_with_the_square_of_the_radius():
     seen = seen_with("vignetting", seen_image(), edge_loss=0.1)
     ratio = seen / seen_image().pixels
@@ -331,27 +234,29 @@ def test_leds_dim_over_the_session_and_not_at_its_start():
     np.testing.assert_allclose(seen, expected)
 
 
-@pytest.mark.parametrize(("colour", "channel"), [("red", 0), ("green", 1), ("blue", 2)])
-def test_leds_out_of_balance_change_their_colour_alone(colour, channel):
-    seen = seen_with(f"led_imbalance_{colour}", seen_image(), loss_share=0.1)
-    ratio = seen / seen_image().pixels
-    for other in range(3):
-        np.testing.assert_allclose(ratio[..., other], 0.9 if other == channel else 1.0)
-
-
 def test_auto_exposure_brings_the_mean_back_to_that_of_the_idle_frame():
     image = seen_image(pixels=0.8 * seen_image().pixels)
     full = seen_with("auto_exposure", image, strength=1.0)
     assert full.mean() == pytest.approx(image.idle.mean())
     half = seen_with("auto_exposure", image, strength=0.5)
     np.testing.assert_allclose(half, image.pixels / np.sqrt(0.8))
-    still = seen_image()
-    np.testing.assert_allclose(seen_with("auto_exposure", still, strength=1.0), still.pixels)
-
-
-def test_a_black_image_does_not_drive_the_exposure_without_bound():
     black = seen_image(pixels=np.zeros((HEIGHT, WIDTH, 3)))
     np.testing.assert_array_equal(seen_with("auto_exposure", black, strength=1.0), black.pixels)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "expected"),
+    [
+        ("ambient_light", {"added_share": 0.03}, lambda pixels: pixels + 0.03 * 255.0),
+        ("saturation", {"clip_share": 0.5}, lambda pixels: np.minimum(pixels, 127.5)),
+        ("led_imbalance_red", {"loss_share": 0.1}, lambda pixels: pixels * [0.9, 1.0, 1.0]),
+        ("led_imbalance_green", {"loss_share": 0.1}, lambda pixels: pixels * [1.0, 0.9, 1.0]),
+        ("led_imbalance_blue", {"loss_share": 0.1}, lambda pixels: pixels * [1.0, 1.0, 0.9]),
+    ],
+)
+def test_each_pixel_by_itself(name, size, expected):
+    image = seen_image()
+    np.testing.assert_allclose(seen_with(name, image, **size), expected(image.pixels))
 
 
 def test_gamma_keeps_black_and_white():
@@ -361,11 +266,6 @@ def test_gamma_keeps_black_and_white():
     np.testing.assert_allclose(seen[0], 255.0)
     np.testing.assert_allclose(seen[1], 255.0 * 0.25**0.9)
     np.testing.assert_allclose(seen[2], 0.0)
-
-
-def test_ambient_light_adds_the_same_everywhere():
-    seen = seen_with("ambient_light", seen_image(), added_share=0.03)
-    np.testing.assert_allclose(seen - seen_image().pixels, 0.03 * 255.0)
 
 
 def test_motion_blur_takes_the_mean_along_the_path():
@@ -393,17 +293,6 @@ def test_a_rolling_shutter_skews_by_row():
     np.testing.assert_allclose(seen[:, 4:-4, 0], expected[:, 4:-4], atol=0.06 * 3.0)
 
 
-@pytest.mark.parametrize("name", MOVING)
-def test_what_stands_still_is_neither_blurred_nor_skewed(name):
-    still = seen_image(flow_px_s=np.zeros((HEIGHT, WIDTH, 2)))
-    np.testing.assert_array_equal(seen_with(name, still), still.pixels)
-
-
-def test_saturation_clips_what_is_above_its_level_alone():
-    seen = seen_with("saturation", seen_image(), clip_share=0.5)
-    np.testing.assert_array_equal(seen, np.minimum(seen_image().pixels, 127.5))
-
-
 def test_a_worn_spot_is_darkest_at_its_place():
     values = {"loss_share": 0.4, "x_rad": 0.5, "y_rad": -0.5, "radius_rad": 0.25}
     ratio = seen_with("worn_coat", seen_image(), **values) / seen_image().pixels
@@ -417,8 +306,7 @@ def test_what_excites_the_optical_effects():
     fast = recording_of(Phase.LOAD, speed_m_s=5e-3)
     slide = recording_of(Phase.SLIDE, speed_m_s=5e-3)
     hold = recording_of(Phase.HOLD)
-    for name in STATIC:
-        assert EFFECTS[name].excited_by(hold)
+    assert EFFECTS["gamma"].excited_by(hold)
     for name in MOVING:
         assert [EFFECTS[name].excited_by(r) for r in (slow, fast, slide, hold)] == [
             False,
@@ -430,14 +318,3 @@ def test_what_excites_the_optical_effects():
     assert not EFFECTS["auto_exposure"].excited_by(hold)
     assert not EFFECTS["led_dimming"].excited_by(hold)
     assert EFFECTS["led_dimming"].excited_by(recording_of(Phase.HOLD, session_s=30.0))
-
-
-def test_effects_follow_one_another():
-    actives = [
-        Active(EFFECTS["led_imbalance_red"], {"loss_share": 0.5}),
-        Active(EFFECTS["ambient_light"], {"added_share": 0.1}),
-    ]
-    seen = image_filters(actives)(seen_image())
-    np.testing.assert_allclose(seen[..., 0], 0.5 * seen_image().pixels[..., 0] + 25.5)
-    back = image_filters(actives[::-1])(seen_image())
-    np.testing.assert_allclose(back[..., 0], 0.5 * (seen_image().pixels[..., 0] + 25.5))

@@ -29,14 +29,15 @@ from dotsim_ros.calibration.camera.model import (
     LENS,
     LIGHTS,
     REFERENCE_HEIGHT_PX,
+    RIM_MARGIN_PX,
     CameraModel,
     CameraParameter,
     moved,
+    seen_motion_px,
     with_gloss,
 )
 from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.optics.idle import lit_region
-from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
@@ -56,7 +57,6 @@ LENS_SPAN_PX = 6.0
 """The lens is fitted to what is left of a blurred image once one blurred so much is taken off: the
 pattern, without the shading."""
 LIGHTS_BLUR_PX = 2.0
-RIM_MARGIN_PX = 9
 
 RIM_DEVIATION_PX = 0.5
 """How far the rim's centre lies from the principal point, one standard deviation."""
@@ -74,13 +74,8 @@ EVALUATIONS = 6
 
 @dataclass(frozen=True)
 class Rim:
-    """A circle through the rim of the lit disc, pixels.
-
-    Attributes:
-        centre_px: (2,) x then y.
-        radius_px: its radius.
-        residual_px: root mean square distance of the rim from it.
-    """
+    """A circle through the rim of the lit disc, pixels: its centre (2,), x then y, its radius, and
+    the root mean square distance of the rim from it."""
 
     centre_px: FloatArray
     radius_px: float
@@ -89,15 +84,8 @@ class Rim:
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """One parameter of the fit.
-
-    Attributes:
-        name: of the parameter.
-        before: its value in the model that was given.
-        after: its value.
-        deviation: posterior standard deviation.
-        prior: standard deviation before the images were seen.
-    """
+    """One parameter of the fit: its value before and after, its posterior standard deviation, and
+    that before the images were seen."""
 
     name: str
     before: float
@@ -357,13 +345,7 @@ class _Problem:
         if self._lens is not model.camera:
             self._views, _ = self._render(model)
             self._lens = model.camera
-        image = ImageRenderer(
-            model.camera,
-            self._filmed.skin,
-            self._filmed.idle,
-            lighting=model.lights.lighting(),
-            vignetting=model.vignetting,
-        )
+        image = model.images(self._filmed)
         warped = [
             self._blurred(image.warp(view))[mask].ravel()
             for view, mask in zip(self._views, self._masks, strict=True)
@@ -377,8 +359,7 @@ def _blur(image: Float32Array, size_px: float) -> Float32Array:
 
 def _moved(view: View, rest: View, triangles: NDArray[np.int32]) -> BoolArray:
     """Return (H, W) where the skin that is seen has moved in the image, and a little around."""
-    motion = np.linalg.norm(view.vertex_pixel - rest.vertex_pixel, axis=1)
-    seen = motion[triangles[np.maximum(view.triangle, 0)]].mean(axis=-1) > MOVED_PX
+    seen = seen_motion_px(view, rest, triangles) > MOVED_PX
     around = cv2.dilate((seen & view.mask).astype(np.uint8), np.ones((7, 7)))
     return np.asarray(around > 0)
 

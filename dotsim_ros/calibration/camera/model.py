@@ -14,22 +14,30 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import Camera
-from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.pose import Pose, quaternion_product
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.quantity import quantities_of
 from dotsim_ros.optics.idle import stated_lights
-from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
+from dotsim_ros.optics.image import ImageRenderer
+from dotsim_ros.optics.lighting import Lighting, Vignetting
+from dotsim_ros.optics.renderer import View
 from dotsim_ros.specification import (
     CameraSpecification,
     LightingSpecification,
     SensorSpecification,
     VignettingSpecification,
 )
+from dotsim_ros.twin.ball_presses import UNCHANGING
+from dotsim_ros.twin.footage import FilmedData
 
 REFERENCE_HEIGHT_PX = 240.0
 """Image height that parameters in pixels are stated for."""
+
+RIM_MARGIN_PX = 9
+"""What lies nearer to the rim of the lit disc is neither fitted nor judged."""
 
 CENTRE_NAMES = ("centre_x_px", "centre_y_px")
 
@@ -38,68 +46,45 @@ FIRST_GLOSS = 1.0
 
 
 @dataclass(frozen=True)
-class RingLights:
-    """LEDs on a ring or in rows, the light between the parts of the gel, and the coat's gloss; see
-    `led_ring` and `Lighting` for the fields."""
-
-    radius_m: float = 0.010
-    height_m: float = 0.0005
-    azimuth_deg: tuple[float, float, float] = (60.0, 180.0, -60.0)
-    spread_deg: float = 12.0
-    crosstalk: float = 0.1
-    ambient_fraction: float = 1.0
-    exponent: float = 1.0
-    gloss: float = 0.0
-    gloss_exponent: float = 80.0
-    row_length_m: float = 0.0
-
-    def lighting(self) -> Lighting:
-        """Return the lights of the ring."""
-        return Lighting(
-            led_ring(
-                radius_m=self.radius_m,
-                height_m=self.height_m,
-                azimuth_deg=self.azimuth_deg,
-                spread_deg=self.spread_deg,
-                crosstalk=self.crosstalk,
-                row_length_m=self.row_length_m,
-            ),
-            ambient_fraction=self.ambient_fraction,
-            exponent=self.exponent,
-            gloss=self.gloss,
-            gloss_exponent=self.gloss_exponent,
-        )
-
-
-@dataclass(frozen=True)
 class CameraModel:
     """A camera, at the resolution of the images, with its lights.
 
     Attributes:
         camera: place, direction and lens.
-        lights: of the ring.
+        lights: the LEDs and the coat.
         falloff: of the vignetting.
     """
 
     camera: Camera
-    lights: RingLights
+    lights: LightingSpecification
     falloff: tuple[float, ...] = ()
 
-    @property
-    def vignetting(self) -> Vignetting:
-        """The loss of brightness towards the edge."""
-        return Vignetting(self.falloff)
+    def images(self, filmed: FilmedData, *, is_shaded: bool = True) -> ImageRenderer:
+        """Return what warps an idle image by skins, with or without shading."""
+        return ImageRenderer(
+            self.camera,
+            filmed.skin,
+            filmed.idle,
+            lighting=Lighting.from_specification(self.lights) if is_shaded else UNCHANGING,
+            vignetting=Vignetting(self.falloff),
+        )
 
 
-def read_lights(sensor: SensorSpecification) -> tuple[RingLights, tuple[float, ...]]:
-    """Return ring and falloff that the file next to a sensor's idle image states, or the sensor's.
+def read_lights(sensor: SensorSpecification) -> tuple[LightingSpecification, tuple[float, ...]]:
+    """Return a sensor's lights and falloff: of the file next to its idle image, or its own.
 
     Raises:
         FileNotFoundError: the sensor names an image that is not there.
         ValueError: the file describes no idle image.
     """
     lighting, vignetting = stated_lights(sensor)
-    return RingLights(**asdict(lighting)), vignetting.falloff
+    return lighting, vignetting.falloff
+
+
+def seen_motion_px(view: View, rest: View, triangles: NDArray[np.int32]) -> FloatArray:
+    """Return how far (H, W) the skin that each pixel of a view shows has moved in the image."""
+    motion = np.linalg.norm(view.vertex_pixel - rest.vertex_pixel, axis=1)
+    return np.asarray(motion[triangles[np.maximum(view.triangle, 0)]].mean(axis=-1))
 
 
 def describe_lights(model: CameraModel) -> dict[str, dict[str, Any]]:
@@ -108,9 +93,9 @@ def describe_lights(model: CameraModel) -> dict[str, dict[str, Any]]:
     Raises:
         ValueError: a number is out of the range that such a file takes.
     """
-    lighting: dict[str, Any] = {name: _plain(value) for name, value in asdict(model.lights).items()}
-    LightingSpecification(**lighting)
-    sections: dict[str, dict[str, Any]] = {"lighting": lighting}
+    sections: dict[str, dict[str, Any]] = {
+        "lighting": {name: _plain(value) for name, value in asdict(model.lights).items()}
+    }
     if model.falloff:
         sections["vignetting"] = {"falloff": _plain(model.falloff)}
         VignettingSpecification(**sections["vignetting"])
@@ -186,39 +171,31 @@ def _with_camera(model: CameraModel, **changes: Any) -> CameraModel:
     return replace(model, camera=replace(model.camera, **changes))
 
 
-def _centre(axis: int) -> CameraParameter:
-    def move(model: CameraModel, amount: float) -> CameraModel:
-        centre = np.array(model.camera.principal_point_px)
-        centre[axis] += amount * model.camera.height / REFERENCE_HEIGHT_PX
-        return _with_camera(model, principal_point_px=centre)
+def _camera_entry(
+    name: str, field: str, index: int, step: float, prior: float, *, at_reference: bool = False
+) -> CameraParameter:
+    """Return an entry of a list of the camera, moved by pixels of `REFERENCE_HEIGHT_PX` or as it
+    is."""
 
-    # A few pixels, as makers state.
+    def move(model: CameraModel, amount: float) -> CameraModel:
+        entries = np.array(getattr(model.camera, field))
+        entries[index] += (
+            amount * model.camera.height / REFERENCE_HEIGHT_PX if at_reference else amount
+        )
+        return _with_camera(model, **{field: entries})
+
     return CameraParameter(
-        CENTRE_NAMES[axis],
-        0.25,
-        3.0,
-        move,
-        lambda model: float(model.camera.principal_point_px[axis]),
+        name, step, prior, move, lambda model: float(getattr(model.camera, field)[index])
     )
 
 
 def _turned(model: CameraModel, axis: int, angle_rad: float) -> CameraModel:
     """Return the model turned about an axis of its own optical frame."""
-    half = np.zeros(3)
-    half[axis] = np.sin(0.5 * angle_rad)
-    x, y, z = half
-    w = np.cos(0.5 * angle_rad)
-    ax, ay, az, aw = model.camera.pose.quaternion_xyzw
-    product = np.array(
-        [
-            aw * x + ax * w + ay * z - az * y,
-            aw * y - ax * z + ay * w + az * x,
-            aw * z + ax * y - ay * x + az * w,
-            aw * w - ax * x - ay * y - az * z,
-        ]
-    )
-    pose = Pose(model.camera.pose.position_m, product / np.linalg.norm(product))
-    return _with_camera(model, pose=pose)
+    turn = np.zeros(4)
+    turn[axis], turn[3] = np.sin(0.5 * angle_rad), np.cos(0.5 * angle_rad)
+    before = model.camera.pose
+    turned = Pose(before.position_m, quaternion_product(before.quaternion_xyzw, turn))
+    return _with_camera(model, pose=turned)
 
 
 def _turn(name: str, axis: int, prior_rad: float) -> CameraParameter:
@@ -246,20 +223,10 @@ def _place(axis: int) -> CameraParameter:
     )
 
 
-def _radial(order: int, prior: float) -> CameraParameter:
-    def move(model: CameraModel, amount: float) -> CameraModel:
-        distortion = np.array(model.camera.distortion)
-        distortion[order] += amount
-        return _with_camera(model, distortion=distortion)
-
-    return CameraParameter(
-        f"k{order + 1}", 0.004, prior, move, lambda model: float(model.camera.distortion[order])
-    )
-
-
 LENS = (
-    _centre(0),
-    _centre(1),
+    # A few pixels, as makers state.
+    _camera_entry(CENTRE_NAMES[0], "principal_point_px", 0, 0.25, 3.0, at_reference=True),
+    _camera_entry(CENTRE_NAMES[1], "principal_point_px", 1, 0.25, 3.0, at_reference=True),
     CameraParameter(
         "focal_px",
         0.003,
@@ -269,7 +236,7 @@ LENS = (
         ),
         lambda model: model.camera.focal_px,
     ),
-    _radial(0, 0.03),
+    _camera_entry("k1", "distortion", 0, 0.004, 0.03),
     _turn("tilt_x_rad", 0, 0.02),
     _turn("tilt_y_rad", 1, 0.02),
     _turn("roll_rad", 2, 0.005),
@@ -300,7 +267,7 @@ def _light_factor(name: str, prior: float) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
         return _with_light(model, name, getattr(model.lights, name) * float(np.exp(amount)))
 
-    return CameraParameter(name, 0.1, prior, move, lambda model: float(getattr(model.lights, name)))
+    return replace(_light(name, 0.1, prior), moved=move)
 
 
 def _azimuth(colour: int) -> CameraParameter:

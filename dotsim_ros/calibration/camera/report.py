@@ -15,7 +15,6 @@ from dotsim_ros.calibration.camera.fit import CameraFit
 from dotsim_ros.calibration.camera.model import CameraModel
 from dotsim_ros.calibration.camera.score import CameraFrameScore, by_depth
 from dotsim_ros.io.arrays import ImageArray
-from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.twin.footage import FilmedData
 from dotsim_ros.twin.image_metrics import image_psnr_db
@@ -85,13 +84,7 @@ def draw_sheet(filmed: FilmedData, model: CameraModel) -> ImageArray:
     """Return measured, warped and their difference, side by side, for the deepest frame of one
     press of each indenter."""
     renderer = SkinRenderer(model.camera, filmed.skin)
-    image = ImageRenderer(
-        model.camera,
-        filmed.skin,
-        filmed.idle,
-        lighting=model.lights.lighting(),
-        vignetting=model.vignetting,
-    )
+    image = model.images(filmed)
     rows, shown = [], set()
     for press in filmed.presses:
         if press.indenter in shown:

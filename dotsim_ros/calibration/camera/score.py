@@ -21,11 +21,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.camera.model import REFERENCE_HEIGHT_PX, CameraModel
+from dotsim_ros.calibration.camera.model import (
+    REFERENCE_HEIGHT_PX,
+    RIM_MARGIN_PX,
+    CameraModel,
+    seen_motion_px,
+)
 from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.optics.idle import lit_region
-from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData
 from dotsim_ros.twin.image_metrics import depth_ranges, image_psnr_db
@@ -35,9 +38,6 @@ MOTION_PX = 0.5
 TEXTURE_LEVELS = 8.0
 """Least standard deviation of a patch's brightness for its motion to be measured."""
 NEIGHBOURHOOD_PX = 6.0
-RIM_MARGIN_PX = 9
-
-UNCHANGING = Lighting(ambient_fraction=1e9)
 
 
 @dataclass(frozen=True)
@@ -75,24 +75,10 @@ def score_frames(
     *,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> list[CameraFrameScore]:
-    """Return the scores of all frames.
-
-    Args:
-        filmed: images and shapes of the skin.
-        model: camera, at the images' resolution, and lights.
-        progress: called with the name of each press that is done.
-    """
+    """Return the scores of all frames by a camera at the images' resolution; progress is called
+    with the name of each press that is done."""
     renderer = SkinRenderer(model.camera, filmed.skin)
-    images = {
-        name: ImageRenderer(
-            model.camera,
-            filmed.skin,
-            filmed.idle,
-            lighting=lighting,
-            vignetting=model.vignetting,
-        )
-        for name, lighting in (("unshaded", UNCHANGING), ("shaded", model.lights.lighting()))
-    }
+    unshaded, shaded = model.images(filmed, is_shaded=False), model.images(filmed)
     lit = lit_region(filmed.idle)
     rest = renderer.render(filmed.skin.rest_position_m)
     scores = []
@@ -101,7 +87,7 @@ def score_frames(
         for frame, depth_m in enumerate(press.tip_depth_m.tolist()):
             view = renderer.render(press.skin_position_m[frame])
             measured = press.measured[frame]
-            warped = images["shaded"].warp(view)
+            warped = shaded.warp(view)
             scores.append(
                 CameraFrameScore(
                     press=press.name,
@@ -110,7 +96,7 @@ def score_frames(
                     depth_m=depth_m,
                     deepest=frame == deepest,
                     idle_db=image_psnr_db(filmed.idle, measured),
-                    unshaded_db=image_psnr_db(images["unshaded"].warp(view), measured),
+                    unshaded_db=image_psnr_db(unshaded.warp(view), measured),
                     carried_db=image_psnr_db(warped, measured),
                     lit_db=image_psnr_db(warped[lit], measured[lit]),
                     errors_px=_errors_px(
@@ -133,8 +119,7 @@ def _judged(
     inside &= view.mask
     if untouched:
         return inside
-    motion = np.linalg.norm(view.vertex_pixel - rest.vertex_pixel, axis=1)
-    seen = motion[triangles[np.maximum(view.triangle, 0)]].mean(axis=-1)
+    seen = seen_motion_px(view, rest, triangles)
     return np.asarray(inside & (seen > MOTION_PX * len(lit) / REFERENCE_HEIGHT_PX))
 
 

@@ -5,15 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros.data.recording import Phase
-from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, SeenImage, Values, by_frame
 from dotsim_ros.effects.optical_terms import (
     FULL_SCALE,
     FixedResampling,
@@ -27,55 +26,45 @@ from dotsim_ros.effects.optical_terms import (
 )
 from dotsim_ros.io.arrays import FloatArray
 
-
-def _ambient_light_image(values: Values) -> ImageFilter:
-    veil = FULL_SCALE * values["added_share"]
-
-    def veiled(image: SeenImage) -> FloatArray:
-        return within_scale(image.pixels + veil)
-
-    return veiled
+image_effect = partial(Effect, channels=(IMAGE,), excited_by=any_frame)
+"""An effect of the image; every frame shows it, unless it names what excites it."""
 
 
-AMBIENT_LIGHT = Effect(
+def _ambient_light(values: Values, image: SeenImage) -> FloatArray:
+    return within_scale(image.pixels + FULL_SCALE * values["added_share"])
+
+
+AMBIENT_LIGHT = image_effect(
     name="ambient_light",
     title="Ambient light",
     # Of the full scale. Less light than when the twin was made is as likely as more.
     summary="a veil over the whole image that no contact changes.",
     parameters=(EffectParameter("added_share", "", 0.0, -0.05, 0.05, (0.02, -0.02)),),
-    channels=(IMAGE,),
     protocol="images with the LEDs off",
-    excited_by=any_frame,
     taken_for=("gamma", "daylight"),
-    image=_ambient_light_image,
+    image=by_frame(_ambient_light),
 )
 
 DARK_LEVEL = 1.0
 """Mean grey level below which a camera's gain does not follow any further."""
 
 
-def _auto_exposure_image(values: Values) -> ImageFilter:
-    strength = values["strength"]
-
-    def exposed(image: SeenImage) -> FloatArray:
-        wanted = max(float(np.mean(image.idle)), DARK_LEVEL)
-        seen = max(float(np.mean(image.pixels)), DARK_LEVEL)
-        return within_scale(image.pixels * (wanted / seen) ** strength)
-
-    return exposed
+def _auto_exposure(values: Values, image: SeenImage) -> FloatArray:
+    wanted = max(float(np.mean(image.idle)), DARK_LEVEL)
+    seen = max(float(np.mean(image.pixels)), DARK_LEVEL)
+    return within_scale(image.pixels * (wanted / seen) ** values["strength"])
 
 
-AUTO_EXPOSURE = Effect(
+AUTO_EXPOSURE = image_effect(
     name="auto_exposure",
     title="Auto-exposure",
     # At 1 the mean of every image is that of the idle frame.
     summary="the camera's gain follows the mean of what it sees, relative to the idle frame.",
     parameters=(EffectParameter("strength", "", 0.0, 0.0, 1.0, (0.5, 1.0)),),
-    channels=(IMAGE,),
     protocol="a deep press, which changes the image's mean",
     excited_by=lambda recording: recording.has(Phase.LOAD),
     taken_for=("led_dimming",),
-    image=_auto_exposure_image,
+    image=by_frame(_auto_exposure),
 )
 
 ROUNDS = 2
@@ -84,11 +73,7 @@ ROUNDS = 2
 
 def parallax_px(image: SeenImage, displacement_m: FloatArray) -> FloatArray:
     """Return how far (H, W, 2) what each pixel shows moves in the image; 0 where no skin is seen.
-
-    Args:
-        image: with the skin's depth.
-        displacement_m: (3,) of the camera, optical frame.
-    """
+    The displacement (3,) is the camera's, optical frame."""
     camera = undistorted_camera(image)
     directions, _ = camera.rays()
     point_m = image.depth_m[..., None] * directions
@@ -96,30 +81,26 @@ def parallax_px(image: SeenImage, displacement_m: FloatArray) -> FloatArray:
     return np.nan_to_num(camera.project_optical(point_m - displacement_m) - np.stack([x, y], -1))
 
 
-def _camera_displacement_image(values: Values) -> ImageFilter:
+def _camera_displacement(values: Values, image: SeenImage) -> FloatArray:
     displacement_m = np.array([values["x_m"], values["y_m"], values["z_m"]])
-
-    def displaced(image: SeenImage) -> FloatArray:
-        if not displacement_m.any():
-            return image.pixels
-        moved = parallax_px(image, displacement_m).astype(np.float32)
-        x, y = pixel_places(image)
-        way = moved
-        for _ in range(ROUNDS):
-            found = cv2.remap(
-                moved,
-                (x - way[..., 0]).astype(np.float32),
-                (y - way[..., 1]).astype(np.float32),
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_REPLICATE,
-            )
-            way = np.asarray(found, dtype=np.float32)
-        return within_scale(sampled(image.pixels, x - way[..., 0], y - way[..., 1]))
-
-    return displaced
+    if not displacement_m.any():
+        return image.pixels
+    moved = parallax_px(image, displacement_m).astype(np.float32)
+    x, y = pixel_places(image)
+    way = moved
+    for _ in range(ROUNDS):
+        found = cv2.remap(
+            moved,
+            (x - way[..., 0]).astype(np.float32),
+            (y - way[..., 1]).astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        way = np.asarray(found, dtype=np.float32)
+    return within_scale(sampled(image.pixels, x - way[..., 0], y - way[..., 1]))
 
 
-CAMERA_DISPLACEMENT = Effect(
+CAMERA_DISPLACEMENT = image_effect(
     name="camera_displacement",
     title="Displaced camera",
     summary="the camera, or its entrance pupil, stands next to its place.",
@@ -128,11 +109,9 @@ CAMERA_DISPLACEMENT = Effect(
         EffectParameter("y_m", "m", 0.0, -5.0e-4, 5.0e-4, (0.0, 1.0e-4)),
         EffectParameter("z_m", "m", 0.0, -5.0e-4, 5.0e-4, (0.0, 1.0e-4)),
     ),
-    channels=(IMAGE,),
     protocol="images of the idle pattern, and of deep presses, whose skin is near",
-    excited_by=any_frame,
     taken_for=("camera_extrinsics", "camera_intrinsics", "pose_offset"),
-    image=_camera_displacement_image,
+    image=by_frame(_camera_displacement),
 )
 """Near skin moves farther in the image than far skin: a parallax, which a turned camera
 (`camera_extrinsics`) does not have. Skin that only the displaced camera sees is taken from what is
@@ -140,23 +119,19 @@ next to it. The lens's radial distortion is not known here and left out.
 """
 
 
-def _camera_extrinsics_image(values: Values) -> ImageFilter:
+def _turned(values: Values, image: SeenImage) -> tuple[FloatArray, FloatArray]:
     turn = Rotation.from_rotvec(
         [values["tilt_x_rad"], values["tilt_y_rad"], values["roll_rad"]]
     ).as_matrix()
-
-    def source(image: SeenImage) -> tuple[FloatArray, FloatArray]:
-        camera = undistorted_camera(image)
-        directions, _ = camera.rays()
-        places = camera.project_optical(directions @ turn.T)
-        # Where a pixel has no direction or its direction no place, the border is shown.
-        places = np.where(np.isfinite(places), places, -1.0)
-        return places[..., 0], places[..., 1]
-
-    return FixedResampling(source)
+    camera = undistorted_camera(image)
+    directions, _ = camera.rays()
+    places = camera.project_optical(directions @ turn.T)
+    # Where a pixel has no direction or its direction no place, the border is shown.
+    places = np.where(np.isfinite(places), places, -1.0)
+    return places[..., 0], places[..., 1]
 
 
-CAMERA_EXTRINSICS = Effect(
+CAMERA_EXTRINSICS = image_effect(
     name="camera_extrinsics",
     title="Tilted camera",
     summary="the camera is turned about its own place.",
@@ -165,11 +140,9 @@ CAMERA_EXTRINSICS = Effect(
         EffectParameter("tilt_y_rad", "rad", 0.0, -0.07, 0.07, (0.0, 0.01)),
         EffectParameter("roll_rad", "rad", 0.0, -0.07, 0.07, (0.0, 0.01)),
     ),
-    channels=(IMAGE,),
     protocol="images of the idle pattern",
-    excited_by=any_frame,
     taken_for=("camera_intrinsics", "camera_displacement", "pose_offset"),
-    image=_camera_extrinsics_image,
+    image=lambda values: FixedResampling(partial(_turned, values)),
 )
 """A camera that turns without moving sees the same rays elsewhere, whatever their depth, so the
 image is resampled exactly but for the lens's radial distortion, which is not known here. A camera
@@ -177,22 +150,19 @@ that has moved sees a parallax that depends on depth: that is `camera_displaceme
 """
 
 
-def _camera_intrinsics_image(values: Values) -> ImageFilter:
-    def source(image: SeenImage) -> tuple[FloatArray, FloatArray]:
-        x, y = pixel_places(image)
-        centre_x, centre_y = image.centre_px
-        shift_x = values["shift_x_rad"] * image.focal_x_px
-        shift_y = values["shift_y_rad"] * image.focal_px
-        ratio = values["focal_ratio"]
-        return (
-            centre_x + (x - centre_x - shift_x) / ratio,
-            centre_y + (y - centre_y - shift_y) / ratio,
-        )
-
-    return FixedResampling(source)
+def _through_another_lens(values: Values, image: SeenImage) -> tuple[FloatArray, FloatArray]:
+    x, y = pixel_places(image)
+    centre_x, centre_y = image.centre_px
+    shift_x = values["shift_x_rad"] * image.focal_x_px
+    shift_y = values["shift_y_rad"] * image.focal_px
+    ratio = values["focal_ratio"]
+    return (
+        centre_x + (x - centre_x - shift_x) / ratio,
+        centre_y + (y - centre_y - shift_y) / ratio,
+    )
 
 
-CAMERA_INTRINSICS = Effect(
+CAMERA_INTRINSICS = image_effect(
     name="camera_intrinsics",
     title="Another focal length or centre of the camera",
     # The shift is given over the focal length: 0.06 rad are 5 px of an image 240 px high.
@@ -202,11 +172,9 @@ CAMERA_INTRINSICS = Effect(
         EffectParameter("shift_x_rad", "rad", 0.0, -0.06, 0.06, (0.0, 0.012)),
         EffectParameter("shift_y_rad", "rad", 0.0, -0.06, 0.06, (0.0, 0.012)),
     ),
-    channels=(IMAGE,),
     protocol="images of the idle pattern",
-    excited_by=any_frame,
     taken_for=("camera_extrinsics", "camera_displacement", "pose_offset"),
-    image=_camera_intrinsics_image,
+    image=lambda values: FixedResampling(partial(_through_another_lens, values)),
 )
 """With an equidistant lens or a pinhole, and any radial distortion, focal length and centre act on
 the image linearly: a new pixel p looks where the old image has c + (p - c') / k, with k the ratio
@@ -214,7 +182,7 @@ of the focal lengths and c' the new centre.
 """
 
 
-def _daylight_image(values: Values) -> ImageFilter:
+def _daylight(values: Values, image: SeenImage) -> FloatArray:
     azimuth, elevation = values["azimuth_rad"], values["elevation_rad"]
     towards = np.array(
         [
@@ -224,17 +192,13 @@ def _daylight_image(values: Values) -> ImageFilter:
         ]
     )
     most, diffuse = FULL_SCALE * values["added_share"], values["diffuse_share"]
-
-    def lit(image: SeenImage) -> FloatArray:
-        # The normal of a view is the one on the camera's side.
-        cosine = -image.normal @ towards
-        share = diffuse * 0.5 * (1.0 + cosine) + (1.0 - diffuse) * np.maximum(cosine, 0.0)
-        return within_scale(image.pixels + most * np.nan_to_num(share)[..., None])
-
-    return lit
+    # The normal of a view is the one on the camera's side.
+    cosine = -image.normal @ towards
+    share = diffuse * 0.5 * (1.0 + cosine) + (1.0 - diffuse) * np.maximum(cosine, 0.0)
+    return within_scale(image.pixels + most * np.nan_to_num(share)[..., None])
 
 
-DAYLIGHT = Effect(
+DAYLIGHT = image_effect(
     name="daylight",
     title="Daylight from one side",
     # Of the full scale, on skin that faces it. The direction is that of the optical frame: from
@@ -254,11 +218,9 @@ DAYLIGHT = Effect(
         EffectParameter("elevation_rad", "rad", None, 0.0, 1.2, (0.0, 0.7)),
         EffectParameter("diffuse_share", "", None, 0.0, 1.0, (0.5,)),
     ),
-    channels=(IMAGE,),
     protocol="images with the LEDs off, the sensor turned about its axis between them",
-    excited_by=any_frame,
     taken_for=("ambient_light", "vignetting", "led_imbalance"),
-    image=_daylight_image,
+    image=by_frame(_daylight),
 )
 """A share of the light is that of a uniform half of the sky about a direction: skin whose outward
 normal leans from it by the angle b has (1 + cos b) / 2 of it (Liu and Jordan, "The long-term
@@ -277,13 +239,8 @@ SUBSAMPLES = 16
 
 
 def disc_px(image: SeenImage, *, pupil_area_m2: float, focus_m: float) -> FloatArray:
-    """Return (H, W) the diameter of each pixel's circle of confusion, px; 0 where no skin is seen.
-
-    Args:
-        image: with the skin's depth.
-        pupil_area_m2: area of the entrance pupil.
-        focus_m: distance that is in focus.
-    """
+    """Return (H, W) the diameter of each pixel's circle of confusion, px, for an entrance pupil of
+    an area and a distance in focus; 0 where no skin is seen."""
     pupil_m = np.sqrt(4.0 * pupil_area_m2 / np.pi)
     diameter = image.focal_px * pupil_m * np.abs(1.0 / image.depth_m - 1.0 / focus_m)
     return np.nan_to_num(diameter)
@@ -303,30 +260,25 @@ def _disc(number: int) -> tuple[FloatArray, float]:
     return weight, float(np.sum(weight * offset**2))
 
 
-def _defocus_image(values: Values) -> ImageFilter:
-    area_m2, focus_m = values["pupil_area_m2"], values["focus_m"]
-
-    def blurred(image: SeenImage) -> FloatArray:
-        wanted = disc_px(image, pupil_area_m2=area_m2, focus_m=focus_m) ** 2 / 16.0
-        result = image.pixels.copy()
-        finer, least = image.pixels, 0.0
-        number, most = 0, float(wanted.max())
-        while least < most:
-            weight, variance = _disc(number)
-            coarser = np.asarray(
-                cv2.filter2D(image.pixels, -1, weight, borderType=cv2.BORDER_REPLICATE),
-                dtype=np.float64,
-            )
-            between = (wanted > least) & (wanted <= variance)
-            share = ((wanted[between] - least) / (variance - least))[:, None]
-            result[between] = (1.0 - share) * finer[between] + share * coarser[between]
-            finer, least, number = coarser, variance, number + 1
-        return within_scale(result)
-
-    return blurred
+def _defocus(values: Values, image: SeenImage) -> FloatArray:
+    wanted = disc_px(image, **values) ** 2 / 16.0
+    result = image.pixels.copy()
+    finer, least = image.pixels, 0.0
+    number, most = 0, float(wanted.max())
+    while least < most:
+        weight, variance = _disc(number)
+        coarser = np.asarray(
+            cv2.filter2D(image.pixels, -1, weight, borderType=cv2.BORDER_REPLICATE),
+            dtype=np.float64,
+        )
+        between = (wanted > least) & (wanted <= variance)
+        share = ((wanted[between] - least) / (variance - least))[:, None]
+        result[between] = (1.0 - share) * finer[between] + share * coarser[between]
+        finer, least, number = coarser, variance, number + 1
+    return within_scale(result)
 
 
-DEFOCUS = Effect(
+DEFOCUS = image_effect(
     name="defocus",
     title="A lens out of focus",
     # The area, since blur grows in proportion to it: 1e-6 m2 are a pupil of 1.13 mm.
@@ -335,11 +287,9 @@ DEFOCUS = Effect(
         EffectParameter("pupil_area_m2", "m2", 0.0, 0.0, 1.0e-6, (5.0e-8, 4.0e-7)),
         EffectParameter("focus_m", "m", None, 0.004, 0.2, (0.009, 0.015, 0.04)),
     ),
-    channels=(IMAGE,),
     protocol="images of the idle pattern, and of presses of several depths",
-    excited_by=any_frame,
     taken_for=("motion_blur",),
-    image=_defocus_image,
+    image=by_frame(_defocus),
 )
 """A thin lens spreads a point at the distance s over a disc, the circle of confusion (Potmesil and
 Chakravarty, "A lens and aperture camera model for synthetic image generation", Computer Graphics
@@ -353,42 +303,31 @@ image, is beneath.
 """
 
 
-def _gamma_image(values: Values) -> ImageFilter:
+def _gamma(values: Values, image: SeenImage) -> FloatArray:
     exponent = values["exponent"]
-
-    def bent(image: SeenImage) -> FloatArray:
-        # Identical, not only nearly, where nothing is bent.
-        if exponent == 1.0:
-            return image.pixels
-        return FULL_SCALE * (within_scale(image.pixels) / FULL_SCALE) ** exponent
-
-    return bent
+    # Identical, not only nearly, where nothing is bent.
+    if exponent == 1.0:
+        return image.pixels
+    return FULL_SCALE * (within_scale(image.pixels) / FULL_SCALE) ** exponent
 
 
-GAMMA = Effect(
+GAMMA = image_effect(
     name="gamma",
     title="Another gamma of the camera",
     summary="the camera responds to light by another power than when the twin was made.",
     parameters=(EffectParameter("exponent", "", 1.0, 0.85, 1.15, (0.95, 1.05)),),
-    channels=(IMAGE,),
     protocol="idle images at two exposures",
-    excited_by=any_frame,
     taken_for=("ambient_light", "vignetting"),
-    image=_gamma_image,
+    image=by_frame(_gamma),
 )
 
 
-def _led_dimming_image(values: Values) -> ImageFilter:
-    final, time_s = values["final_loss_share"], values["time_s"]
-
-    def dimmed(image: SeenImage) -> FloatArray:
-        warm = -np.expm1(-max(image.session_s, 0.0) / time_s)
-        return within_scale(image.pixels * (1.0 - final * warm))
-
-    return dimmed
+def _led_dimming(values: Values, image: SeenImage) -> FloatArray:
+    warm = -np.expm1(-max(image.session_s, 0.0) / values["time_s"])
+    return within_scale(image.pixels * (1.0 - values["final_loss_share"] * warm))
 
 
-LED_DIMMING = Effect(
+LED_DIMMING = image_effect(
     name="led_dimming",
     title="LEDs that dim over the session",
     summary="all LEDs lose brightness as they warm up over a session.",
@@ -396,11 +335,10 @@ LED_DIMMING = Effect(
         EffectParameter("final_loss_share", "", 0.0, 0.0, 0.3, (0.05,)),
         EffectParameter("time_s", "s", None, 1.0, 3600.0, (20.0, 300.0)),
     ),
-    channels=(IMAGE,),
     protocol="images without contact, at the start and at the end of a session of minutes",
     excited_by=lambda recording: recording.session_s > 0.0,
     taken_for=("auto_exposure", "ambient_light"),
-    image=_led_dimming_image,
+    image=by_frame(_led_dimming),
 )
 """The loss approaches its final share exponentially, as that of a junction that warms up under a
 constant current does. Dimming that came before the session is a gain of all images alike, which the
@@ -411,29 +349,23 @@ camera's gain takes.
 def led_imbalance(colour: str, channel: int) -> Effect:
     """Return the effect that the LEDs of one colour shine weaker or brighter than the others.
 
-    The image's channel stands for the LEDs: the light of one colour that the camera sees in
-    another channel is left out.
-
-    Args:
-        colour: of the LEDs.
-        channel: of the image: 0 red, 1 green, 2 blue.
+    The image's channel (0 red, 1 green, 2 blue) stands for the LEDs: the light of one colour that
+    the camera sees in another channel is left out.
     """
 
-    def image(values: Values) -> Callable[[SeenImage], FloatArray]:
+    def dimmed(values: Values, image: SeenImage) -> FloatArray:
         gain = np.ones(3)
         gain[channel] = 1.0 - values["loss_share"]
-        return lambda seen: within_scale(seen.pixels * gain)
+        return within_scale(image.pixels * gain)
 
-    return Effect(
+    return image_effect(
         name=f"led_imbalance_{colour}",
         title=f"{colour.capitalize()} LEDs out of balance",
         summary=f"the {colour} LEDs shine weaker or brighter than those of the other colours.",
         parameters=(EffectParameter("loss_share", "", 0.0, -0.3, 0.3, (0.05, -0.05)),),
-        channels=(IMAGE,),
         protocol="any images, also without contact",
-        excited_by=any_frame,
         taken_for=("white balance of the camera",),
-        image=image,
+        image=by_frame(dimmed),
     )
 
 
@@ -447,35 +379,29 @@ SAMPLES_PER_PX = 2.0
 MOST_SAMPLES = 33
 
 
-def _motion_blur_image(values: Values) -> ImageFilter:
-    exposure_s = values["exposure_s"]
-
-    def blurred(image: SeenImage) -> FloatArray:
-        path_px = exposure_s * image.flow_px_s
-        longest_px = float(np.linalg.norm(path_px, axis=2).max(initial=0.0))
-        if longest_px == 0.0:
-            return image.pixels
-        count = int(np.clip(np.ceil(SAMPLES_PER_PX * longest_px) + 2, 3, MOST_SAMPLES))
-        x, y = pixel_places(image)
-        total = np.zeros_like(image.pixels)
-        # The middles of equal shares of the exposure.
-        for share in (np.arange(count) + 0.5) / count - 0.5:
-            total += sampled(image.pixels, x - share * path_px[..., 0], y - share * path_px[..., 1])
-        return within_scale(total / count)
-
-    return blurred
+def _motion_blur(values: Values, image: SeenImage) -> FloatArray:
+    path_px = values["exposure_s"] * image.flow_px_s
+    longest_px = float(np.linalg.norm(path_px, axis=2).max(initial=0.0))
+    if longest_px == 0.0:
+        return image.pixels
+    count = int(np.clip(np.ceil(SAMPLES_PER_PX * longest_px) + 2, 3, MOST_SAMPLES))
+    x, y = pixel_places(image)
+    total = np.zeros_like(image.pixels)
+    # The middles of equal shares of the exposure.
+    for share in (np.arange(count) + 0.5) / count - 0.5:
+        total += sampled(image.pixels, x - share * path_px[..., 0], y - share * path_px[..., 1])
+    return within_scale(total / count)
 
 
-MOTION_BLUR = Effect(
+MOTION_BLUR = image_effect(
     name="motion_blur",
     title="Motion blur",
     summary="the image moves while the camera exposes.",
     parameters=(EffectParameter("exposure_s", "s", 0.0, 0.0, 0.03, (0.01, 0.03)),),
-    channels=(IMAGE,),
     protocol="a slide or a press of 2 mm/s or faster, filmed as it moves",
     excited_by=moves_fast,
     taken_for=("defocus", "latency"),
-    image=_motion_blur_image,
+    image=by_frame(_motion_blur),
 )
 """The image is the mean of what was seen at even times over the exposure, which is centred on the
 frame's stamp, so that the blur is not a latency too. Each instant is the frame's image, moved by
@@ -483,104 +409,77 @@ its flow.
 """
 
 
-def _rolling_shutter_image(values: Values) -> ImageFilter:
-    readout_s = values["readout_s"]
-
-    def skewed(image: SeenImage) -> FloatArray:
-        if readout_s == 0.0 or not np.any(image.flow_px_s):
-            return image.pixels
-        x, y = pixel_places(image)
-        rows = max(image.pixels.shape[0] - 1, 1)
-        later_s = readout_s * (y / rows - 0.5)
-        return within_scale(
-            sampled(
-                image.pixels,
-                x - later_s * image.flow_px_s[..., 0],
-                y - later_s * image.flow_px_s[..., 1],
-            )
-        )
-
-    return skewed
+def _rolling_shutter(values: Values, image: SeenImage) -> FloatArray:
+    readout_s, flow_px_s = values["readout_s"], image.flow_px_s
+    if readout_s == 0.0 or not np.any(flow_px_s):
+        return image.pixels
+    x, y = pixel_places(image)
+    later_s = readout_s * (y / max(image.pixels.shape[0] - 1, 1) - 0.5)
+    source = x - later_s * flow_px_s[..., 0], y - later_s * flow_px_s[..., 1]
+    return within_scale(sampled(image.pixels, *source))
 
 
-ROLLING_SHUTTER = Effect(
+ROLLING_SHUTTER = image_effect(
     name="rolling_shutter",
     title="Rolling shutter",
     # From the first row to the last, whatever their number: 480 rows of 20 to 60 us take 10 to
     # 29 ms.
     summary="rows are read one after the other, so what moves is skewed.",
     parameters=(EffectParameter("readout_s", "s", 0.0, 0.0, 0.03, (0.015, 0.03)),),
-    channels=(IMAGE,),
     protocol="a slide of 2 mm/s or faster, filmed as it moves, across and along the rows",
     excited_by=moves_fast,
     taken_for=("latency",),
-    image=_rolling_shutter_image,
+    image=by_frame(_rolling_shutter),
 )
 """The frame's stamp is that of the middle row. A row that is read later shows the image moved on
 along its flow.
 """
 
 
-def _saturation_image(values: Values) -> ImageFilter:
-    level = FULL_SCALE * values["clip_share"]
-
-    def clipped(image: SeenImage) -> FloatArray:
-        return np.minimum(image.pixels, level)
-
-    return clipped
+def _saturation(values: Values, image: SeenImage) -> FloatArray:
+    return np.minimum(image.pixels, FULL_SCALE * values["clip_share"])
 
 
-SATURATION = Effect(
+SATURATION = image_effect(
     name="saturation",
     title="Saturation of the camera",
     # Lower than the table's 0.85, so that a sensor that is not lit to the full has it in range.
     summary="the camera clips what is brighter than a level below its full scale.",
     parameters=(EffectParameter("clip_share", "", 1.0, 0.5, 1.0, (0.85, 0.65)),),
-    channels=(IMAGE,),
     protocol="images that come near to white: bright LEDs, a glossy contact",
-    excited_by=any_frame,
     taken_for=("gamma", "auto_exposure"),
-    image=_saturation_image,
+    image=by_frame(_saturation),
 )
 
 
-def _vignetting_image(values: Values) -> ImageFilter:
-    loss = values["edge_loss"]
-
-    def vignetted(image: SeenImage) -> FloatArray:
-        return within_scale(image.pixels * (1.0 - loss * radius_square(image))[..., None])
-
-    return vignetted
+def _vignetting(values: Values, image: SeenImage) -> FloatArray:
+    shade = 1.0 - values["edge_loss"] * radius_square(image)
+    return within_scale(image.pixels * shade[..., None])
 
 
-VIGNETTING = Effect(
+VIGNETTING = image_effect(
     name="vignetting",
     title="Vignetting",
     # The loss at half the image's height from the axis, over that at the axis.
     summary="brightness falls with the square of the distance from the optical axis.",
     parameters=(EffectParameter("edge_loss", "", 0.0, 0.0, 0.3, (0.05, 0.2)),),
-    channels=(IMAGE,),
     protocol="any images, also without contact",
-    excited_by=any_frame,
     taken_for=("gamma", "daylight"),
-    image=_vignetting_image,
+    image=by_frame(_vignetting),
 )
 
 PLACES_RAD = (0.0, -1.0, -0.5, 0.5, 1.0)
 
 
-def _worn_coat_image(values: Values) -> ImageFilter:
-    def worn(image: SeenImage) -> FloatArray:
-        x, y = pixel_places(image)
-        across_x = (x - image.centre_px[0]) / image.focal_x_px - values["x_rad"]
-        across_y = (y - image.centre_px[1]) / image.focal_px - values["y_rad"]
-        spot = np.exp(-0.5 * (across_x**2 + across_y**2) / values["radius_rad"] ** 2)
-        return within_scale(image.pixels * (1.0 - values["loss_share"] * spot)[..., None])
-
-    return worn
+def _worn_coat(values: Values, image: SeenImage) -> FloatArray:
+    x, y = pixel_places(image)
+    across_x = (x - image.centre_px[0]) / image.focal_x_px - values["x_rad"]
+    across_y = (y - image.centre_px[1]) / image.focal_px - values["y_rad"]
+    spot = np.exp(-0.5 * (across_x**2 + across_y**2) / values["radius_rad"] ** 2)
+    return within_scale(image.pixels * (1.0 - values["loss_share"] * spot)[..., None])
 
 
-WORN_COAT = Effect(
+WORN_COAT = image_effect(
     name="worn_coat",
     title="Worn spot of the coat",
     # Places and radius are angles from the optical axis: pixels over the focal length.
@@ -591,11 +490,9 @@ WORN_COAT = Effect(
         EffectParameter("y_rad", "rad", None, -1.4, 1.4, PLACES_RAD),
         EffectParameter("radius_rad", "rad", None, 0.1, 0.6, (0.3,)),
     ),
-    channels=(IMAGE,),
     protocol="images without contact, at commissioning and after wear",
-    excited_by=any_frame,
     taken_for=("dust", "vignetting"),
-    image=_worn_coat_image,
+    image=by_frame(_worn_coat),
 )
 """The spot is a Gaussian at a fixed place of the image. A spot of the coat moves with the skin
 under contact; as long as that is less than its radius this makes little difference.

@@ -20,22 +20,25 @@ from dotsim_ros.effects.effect import (
     Response,
     ResponseFilter,
     Values,
+    with_gel,
 )
 from dotsim_ros.effects.excitation import rests_after_contact, strains, touches, unloads
+from dotsim_ros.specification import GEL_PARAMETERS
+
+C20, POISSON_RATIO = GEL_PARAMETERS["c20_ratio"], GEL_PARAMETERS["poisson_ratio"]
 
 
 def _hyperelastic_stiffening_gel(
     term: GelTerm, values: Values, recording: Recording | None
 ) -> GelTerm:
-    c20_ratio = term.values.c20_ratio + values["c20_ratio"]
-    return replace(term, values=replace(term.values, c20_ratio=c20_ratio))
+    return with_gel(term, c20_ratio=term.values.c20_ratio + values["c20_ratio"])
 
 
 HYPERELASTIC_STIFFENING = Effect(
     name="hyperelastic_stiffening",
     title="Stiffening at large strain (Yeoh's C20)",
     summary="the gel stiffens more, or less, at large strain than the twin's.",
-    parameters=(EffectParameter("c20_ratio", "of C10", 0.0, -0.1, 0.5, (0.3, -0.08)),),
+    parameters=(EffectParameter("c20_ratio", C20.unit, 0.0, -0.1, 0.5, (0.3, -0.08)),),
     channels=(SKIN, FORCE),
     protocol="slow presses to three depths, the deepest beyond 2 mm, with a narrow indenter",
     excited_by=strains,
@@ -47,18 +50,13 @@ coefficient. The third one shows the same at larger strain; presses of a fingert
 distinguish the two.
 """
 
-SMALLEST_RATIO = 0.2
-LARGEST_RATIO = 0.4999
-"""What the solver takes, as in calibration."""
-
 
 def _compressibility_gel(term: GelTerm, values: Values, recording: Recording | None) -> GelTerm:
     shift = values["log_compressibility_shift"]
     if shift == 0.0:
         return term
     ratio = 0.5 - (0.5 - term.values.poisson_ratio) * float(np.exp(shift))
-    ratio = float(np.clip(ratio, SMALLEST_RATIO, LARGEST_RATIO))
-    return replace(term, values=replace(term.values, poisson_ratio=ratio))
+    return with_gel(term, poisson_ratio=float(np.clip(ratio, *POISSON_RATIO.bounds)))
 
 
 COMPRESSIBILITY = Effect(
@@ -79,8 +77,7 @@ incompressibility; it is zero at the twin's own ratio.
 
 
 def _thickness_error_gel(term: GelTerm, values: Values, recording: Recording | None) -> GelTerm:
-    thickness_m = term.values.thickness_m * (1.0 + values["thickness_share"])
-    return replace(term, values=replace(term.values, thickness_m=thickness_m))
+    return with_gel(term, thickness_m=term.values.thickness_m * (1.0 + values["thickness_share"]))
 
 
 THICKNESS_ERROR = Effect(

@@ -7,24 +7,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from dotsim_ros.effects.effect import (
-    FORCE,
-    Effect,
-    EffectParameter,
-    Response,
-    ResponseFilter,
-    Values,
-)
+from dotsim_ros.effects.effect import FORCE, Effect, EffectParameter, Response, Values, by_frame
 from dotsim_ros.effects.excitation import presses_late, touches
 
 
-def _force_scale_response(values: Values) -> ResponseFilter:
-    scale = values["scale"]
-
-    def scaled(response: Response) -> Response:
-        return replace(response, force_n=scale * response.force_n)
-
-    return scaled
+def _scaled(values: Values, response: Response) -> Response:
+    return replace(response, force_n=values["scale"] * response.force_n)
 
 
 FORCE_SCALE = Effect(
@@ -37,18 +25,13 @@ FORCE_SCALE = Effect(
     "may be wrong",
     excited_by=touches,
     taken_for=("youngs_modulus", "thermal_drift", "force_drift"),
-    response=_force_scale_response,
+    response=by_frame(_scaled),
 )
 
 
-def _force_drift_response(values: Values) -> ResponseFilter:
-    share_per_s = values["share_per_s"]
-
-    def drifted(response: Response) -> Response:
-        gain = 1.0 + share_per_s * response.session_s
-        return replace(response, force_n=gain * response.force_n)
-
-    return drifted
+def _drifted(values: Values, response: Response) -> Response:
+    gain = 1.0 + values["share_per_s"] * response.session_s
+    return replace(response, force_n=gain * response.force_n)
 
 
 FORCE_DRIFT = Effect(
@@ -61,5 +44,5 @@ FORCE_DRIFT = Effect(
     protocol="the same press at the start, in the middle and at the end of the session",
     excited_by=presses_late,
     taken_for=("thermal_drift", "force_scale", "mullins_softening"),
-    response=_force_drift_response,
+    response=by_frame(_drifted),
 )

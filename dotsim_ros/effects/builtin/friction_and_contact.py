@@ -21,13 +21,13 @@ from dotsim_ros.effects.effect import (
     Response,
     ResponseFilter,
     Values,
+    with_gel,
 )
 from dotsim_ros.effects.excitation import touches, unloads
 
 
 def _coulomb_slip_gel(term: GelTerm, values: Values, recording: Recording | None) -> GelTerm:
-    friction = term.values.friction * values["friction_ratio"]
-    return replace(term, values=replace(term.values, friction=friction))
+    return with_gel(term, friction=term.values.friction * values["friction_ratio"])
 
 
 COULOMB_SLIP = Effect(
@@ -157,7 +157,7 @@ def _lost_bond_gel(term: GelTerm, values: Values, recording: Recording | None) -
         # A gel has one patch: that which has come off already gets looser.
         patch = own.loose_patch_rad
     slip = 1.0 - (1.0 - own.bond_slip_share) * (1.0 - values["slip_share"])
-    return replace(term, values=replace(own, bond_slip_share=slip, loose_patch_rad=patch))
+    return with_gel(term, bond_slip_share=slip, loose_patch_rad=patch)
 
 
 LOST_BOND = Effect(

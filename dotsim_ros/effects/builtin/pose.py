@@ -10,7 +10,15 @@ from collections import deque
 import numpy as np
 
 from dotsim_ros.data.recording import Phase, Recording
-from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter, MotionFilter, Values
+from dotsim_ros.effects.effect import (
+    FORCE,
+    SKIN,
+    Effect,
+    EffectParameter,
+    MotionFilter,
+    Values,
+    by_frame,
+)
 from dotsim_ros.effects.excitation import reverses, touches
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.io.arrays import FloatArray
@@ -29,13 +37,8 @@ def offset_effect(axis: str, *, name: str, protocol: str, taken_for: tuple[str, 
     parameter = EffectParameter(f"{axis}_m", "m", 0.0, -OFFSET_M, OFFSET_M, (0.2e-3, -0.2e-3))
     direction = np.eye(3)["xyz".index(axis)]
 
-    def motion(values: Values) -> MotionFilter:
-        shift_m = values[parameter.name] * direction
-
-        def moved(stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
-            return shifted(pose, shift_m)
-
-        return moved
+    def moved(values: Values, stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
+        return shifted(pose, values[parameter.name] * direction)
 
     return Effect(
         name=name,
@@ -46,7 +49,7 @@ def offset_effect(axis: str, *, name: str, protocol: str, taken_for: tuple[str, 
         protocol=protocol,
         excited_by=touches,
         taken_for=taken_for,
-        motion=motion,
+        motion=by_frame(moved),
     )
 
 
@@ -144,13 +147,8 @@ on the position: what follows is dragged once what leads is farther from it than
 """
 
 
-def _base_compliance_motion(values: Values) -> MotionFilter:
-    compliance = values["compliance_m_n"]
-
-    def pushed_back(stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
-        return shifted(pose, compliance * force_n)
-
-    return pushed_back
+def _pushed_back(values: Values, stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
+    return shifted(pose, values["compliance_m_n"] * force_n)
 
 
 BASE_COMPLIANCE = Effect(
@@ -162,5 +160,5 @@ BASE_COMPLIANCE = Effect(
     protocol="presses with two radii to the same depth, with the force measured",
     excited_by=touches,
     taken_for=("youngs_modulus", "pose_offset"),
-    motion=_base_compliance_motion,
+    motion=by_frame(_pushed_back),
 )

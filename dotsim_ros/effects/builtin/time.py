@@ -18,21 +18,16 @@ from dotsim_ros.effects.effect import (
     EffectParameter,
     GelTerm,
     Response,
-    ResponseFilter,
     Values,
+    by_frame,
 )
 from dotsim_ros.effects.excitation import presses_late, unloads
 from dotsim_ros.geometry.indenter import Indenter
 
 
 def with_relaxation(term: GelTerm, share: float, time_s: float) -> GelTerm:
-    """Return a gel that relaxes in one way more.
-
-    Args:
-        term: the gel.
-        share: of the stress that nothing else relaxes, so that the whole stays below 1.
-        time_s: of the relaxation.
-    """
+    """Return a gel that relaxes in one way more: `share` of the stress that nothing else relaxes,
+    so that the whole stays below 1, in a time."""
     if share == 0.0:
         return term
     left = 1.0 - sum(term.prony_shares)
@@ -73,12 +68,8 @@ SAMPLES = 96
 
 
 def contact_radius_m(indenter: Indenter, depth_m: float) -> float:
-    """Return the radius of the circle that is as large as the contact at a depth of the tip.
-
-    Args:
-        indenter: what presses.
-        depth_m: of its tip below the skin at rest.
-    """
+    """Return the radius of the circle that is as large as the contact at a depth of the tip below
+    the skin at rest."""
     lower, upper = indenter.bounds_m()
     x, y = (
         np.linspace(lower[axis], upper[axis], SAMPLES + 1)[:-1]
@@ -129,14 +120,9 @@ sensor, the radius is 2 mm whatever presses: exact for contacts of this size alo
 """
 
 
-def _response(values: Values) -> ResponseFilter:
-    change, time_s = values["stiffness_change"], values["time_s"]
-
-    def warmed(response: Response) -> Response:
-        gain = 1.0 - change * math.expm1(-response.session_s / time_s)
-        return replace(response, force_n=gain * response.force_n)
-
-    return warmed
+def _warmed(values: Values, response: Response) -> Response:
+    gain = 1.0 - values["stiffness_change"] * math.expm1(-response.session_s / values["time_s"])
+    return replace(response, force_n=gain * response.force_n)
 
 
 THERMAL_DRIFT = Effect(
@@ -151,7 +137,7 @@ THERMAL_DRIFT = Effect(
     protocol="the same press first and last, the light being on for half an hour between them",
     excited_by=presses_late,
     taken_for=("force_drift", "force_scale", "mullins_softening"),
-    response=_response,
+    response=by_frame(_warmed),
 )
 """The stiffness approaches a new value exponentially, like the temperature of a body that is heated
 evenly and cooled at its surface. Only the force shows it: in a quasi-static press by a rigid

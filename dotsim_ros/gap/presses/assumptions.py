@@ -63,6 +63,11 @@ class PressNuisance:
         return self.mean / self.deviation
 
 
+def _constant(name: str, deviation: float) -> PressNuisance:
+    parameter = PARAMETERS[name]
+    return PressNuisance(name, parameter.coordinate or parameter.unit, deviation, SHARED)
+
+
 _OWN_ERRORS = (
     PressNuisance("shift_x", "m", 0.03e-3, OWN),
     PressNuisance("shift_y", "m", 0.03e-3, OWN),
@@ -71,10 +76,10 @@ _OWN_ERRORS = (
 )
 
 ABSOLUTE = (
-    PressNuisance("E", "log", 0.08, SHARED),
-    PressNuisance("nu", "log(1/2 - nu)", 0.2, SHARED),
-    PressNuisance("friction", "log", 0.2, SHARED),
-    PressNuisance("c20", "of C10", 0.05, SHARED),
+    _constant("E", 0.08),
+    _constant("nu", 0.2),
+    _constant("friction", 0.2),
+    _constant("c20", 0.05),
     PressNuisance("thickness", "share", 0.01, SHARED),
     PressNuisance("delay", "s", 0.005, SHARED),
     PressNuisance("arm", "m/N", 8.0e-6, SHARED),
@@ -86,10 +91,10 @@ millimetre. The means of `BIASED` come with the discrepancy; the deviations of `
 halves of the stand-in sensor's presses, and a second unit's, differ by."""
 
 DIFFERENTIAL = (
-    PressNuisance("E", "log", 0.3, SHARED),
-    PressNuisance("nu", "log(1/2 - nu)", 0.8, SHARED),
-    PressNuisance("friction", "log", 0.5, SHARED),
-    PressNuisance("c20", "of C10", 0.2, SHARED),
+    _constant("E", 0.3),
+    _constant("nu", 0.8),
+    _constant("friction", 0.5),
+    _constant("c20", 0.2),
     PressNuisance("thickness", "share", 0.03, SHARED),
     PressNuisance("delay", "s", 0.015, SHARED),
     PressNuisance("arm", "m/N", 2.0e-5, SHARED),
