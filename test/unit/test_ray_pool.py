@@ -304,7 +304,7 @@ import pool_work
 from dotsim_ros.cli import calibrate, main
 from dotsim_ros.io.worker_pool.pool import RayWorkers, open_pool
 
-def run(_arguments):
+def run(*, data: str, out: str):
     with open_pool(RayWorkers(1, "local"), pool_work.begin, None) as pool:
         pool.submit(pool_work.tell_and_sleep, 0, Path(sys.argv[1])).result()
 

@@ -34,7 +34,7 @@ def work(_number):
 def end(_number):
     os.kill(os.getpid(), 9)
 
-def run(_arguments):
+def run(*, data: str, out: str):
     with open_pool(2, begin, None) as pool:
         task = end if sys.argv[1] == "end" else work
         for future in [pool.submit(task, number) for number in range(2)]:
