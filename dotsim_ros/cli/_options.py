@@ -9,10 +9,13 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 from cyclopts.validators import mutually_exclusive
+
+from dotsim_ros.io.progress import bar
 
 if TYPE_CHECKING:
     from dotsim_ros.data.trajectory import Topics
@@ -40,6 +43,11 @@ def within(least: float, greatest: float, kind: type[float] = float) -> Paramete
 
 Whole = Annotated[int, within(-math.inf, math.inf, int)]
 """An int: cyclopts alone would round a fraction."""
+NoSeed = Annotated[Whole, Parameter(help="accepted; nothing here is random.")]
+Meshes = Annotated[
+    Path | None,
+    Parameter(help="folder of the indenters' meshes; without it in the data set, then next to it."),
+]
 Judged: Any = Group("Judged on, either", validator=mutually_exclusive)
 """Of options that say what a fit is judged on."""
 
@@ -82,11 +90,16 @@ def topics_of(**given: str | None) -> Topics:
 def show_stage(stage: str, done: int, total: int) -> None:
     """Draw a bar on a terminal; elsewhere print each stage's beginning and end."""
     if sys.stderr.isatty():
-        filled = 30 * done // max(total, 1)
-        end = "\n" if done == total else ""
-        print(f"\r{stage:<10} [{'#' * filled:<30}] {done}/{total}", end=end, file=sys.stderr)
+        redraw(bar(done / max(total, 1), f"{done}/{total} {stage}"), is_last=done == total)
     elif done in (0, total):
-        print(f"{stage}: {done}/{total}", file=sys.stderr, flush=True)
+        say(f"{stage}: {done}/{total}")
+
+
+def redraw(line: str, *, is_last: bool) -> None:
+    """Print a line over the one before on a terminal; elsewhere below it."""
+    is_terminal = sys.stderr.isatty()
+    end = "" if is_terminal and not is_last else "\n"
+    print(f"\r{line}" if is_terminal else line, end=end, file=sys.stderr, flush=True)
 
 
 def say(line: object) -> None:

@@ -32,6 +32,7 @@ from cyclopts import Group, Parameter
 from dotsim_ros.cli._options import (
     HERE,
     Judged,
+    Meshes,
     Whole,
     WorkerOptions,
     show_stage,
@@ -85,7 +86,7 @@ def run(
     hold_out: Annotated[Whole | None, Parameter(group=Judged)] = None,
     leave_out: Annotated[str | None, Parameter(group=Judged)] = None,
     trajectories: tuple[str, ...] = (),
-    indenters: Path | None = None,
+    indenters: Meshes = None,
     run_folder: Annotated[Path | None, Parameter(name="--run")] = None,
     joint_steps: Annotated[int, within(0, 4, int)] = 2,
     solves: Whole = 40,
@@ -115,7 +116,6 @@ def run(
         hold_out: trajectories to judge on, drawn by the seed; 0 for none; without it 9.
         leave_out: judge on all of one indenter.
         trajectories: use these alone; without it all of the data set.
-        indenters: folder of the indenters' meshes; without it in the data set, then next to it.
         run_folder: folder of the run's files, without it OUT_report/run; fits of other splits of
             the same data that name the same one share the fits of single presses.
         joint_steps: Gauss-Newton steps of the joint fit; with 0 it weighs the fits of single

@@ -20,7 +20,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.cli._options import Whole
+from dotsim_ros.cli._options import NoSeed, Whole
 
 SENSOR, RECORDER, PLAYER = "tactile_sim", "tactile_record", "indenter_player"
 START_TIMEOUT_S = 180.0
@@ -34,7 +34,7 @@ def run(
     out: Path = Path("out/demo"),
     presses: Whole = 4,
     depth_mm: float = 3.0,
-    seed: Whole = 0,
+    seed: NoSeed = 0,
 ) -> int:
     """Run the demonstration and print the paths of its files.
 
@@ -42,7 +42,6 @@ def run(
         out: folder.
         presses: how many of the 12 shipped.
         depth_mm: depth at which presses turn.
-        seed: accepted; nothing here is random.
     """
     from dotsim_ros.data.bag_hash import bag_sha256
     from dotsim_ros.io.progress import PrintedProgress

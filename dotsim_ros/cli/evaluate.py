@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dotsim_ros.cli._options import HERE, Whole, WorkerOptions, show_stage, topics_of
+from dotsim_ros.cli._options import HERE, Meshes, Whole, WorkerOptions, show_stage, topics_of
 
 FROM_DEPTH_MM = 2.0
 
@@ -29,7 +29,7 @@ def run(
     out: Path = Path("out/evaluation"),
     trajectories: tuple[str, ...] = (),
     from_depth_mm: float = FROM_DEPTH_MM,
-    indenters: Path | None = None,
+    indenters: Meshes = None,
     workers: WorkerOptions = HERE,
     seed: Whole = 0,
     json: Path | None = None,
@@ -46,7 +46,6 @@ def run(
         out: folder to write.
         trajectories: judge these alone; without it all.
         from_depth_mm: judge frames whose tip is at least so deep.
-        indenters: folder of the indenters' meshes; without it in the data set, then next to it.
         seed: of the noise of the simulated images.
         json: copy the errors to this file as well.
         pose_topic: of the pose.

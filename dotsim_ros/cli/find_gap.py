@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from dotsim_ros.cli._options import HERE, Whole, WorkerOptions
+from dotsim_ros.cli._options import HERE, Meshes, Whole, WorkerOptions
 
 EXAMPLE = "gap/example_report.html"
 """The report of `find-gap --demo`, below params/."""
@@ -39,7 +39,7 @@ def run(
     out: Path = Path("report"),
     sensor: str = "sensor_a",
     reference: Path | None = None,
-    indenters: Path | None = None,
+    indenters: Meshes = None,
     effects: tuple[Path, ...] = (),
     channels: tuple[Literal["skin", "force", "image"], ...] = (),
     candidates: tuple[str, ...] = (),
@@ -61,7 +61,6 @@ def run(
         out: folder of the report.
         sensor: name or YAML file of the calibrated twin.
         reference: the unit's commissioning: what has changed since?
-        indenters: folder of the indenters' meshes; without it in the data set, then next to it.
         effects: folders of your own effects: every NAME.py there is run as a program, or with
             --candidates those named alone; they are listed before.
         channels: used; without it all, image where the bags hold images and idle_*.png lie next to

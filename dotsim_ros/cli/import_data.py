@@ -19,13 +19,13 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dotsim_ros.cli._options import Whole
+from dotsim_ros.cli._options import NoSeed
 
 Set = Literal["densetact", "ecoflex_compression", "gelsight_mini_force"]
 
 
 def run(
-    name: Set, /, *, source: Annotated[Path, Parameter(name="--from")], out: Path, seed: Whole = 0
+    name: Set, /, *, source: Annotated[Path, Parameter(name="--from")], out: Path, seed: NoSeed = 0
 ) -> int:
     """Write the data set, and say what it holds.
 
@@ -33,7 +33,6 @@ def run(
         name: of the recording.
         source: folder as published.
         out: folder of the data set, which must not exist.
-        seed: accepted; nothing here is random.
     """
     from dotsim_ros.data.importers.registry import IMPORTERS
 

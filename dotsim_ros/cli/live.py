@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from dotsim_ros.cli._options import Whole, within
+from dotsim_ros.cli._options import NoSeed, within
 
 if TYPE_CHECKING:
     from dotsim_ros.geometry.indenter import Indenter
@@ -48,7 +48,7 @@ def run(
     attach: bool = False,
     node: str = "tactile_sim",
     ros_args: Annotated[tuple[str, ...], Parameter(allow_leading_hyphen=True)] = (),
-    seed: Whole = 0,
+    seed: NoSeed = 0,
 ) -> int:
     """Serve the page until Ctrl-C.
 
@@ -64,7 +64,6 @@ def run(
         attach: show a running tactile_sim.
         node: its name.
         ros_args: namespace and remaps for --attach; last.
-        seed: accepted; nothing here is random.
     """
     try:
         import websockets  # noqa: F401

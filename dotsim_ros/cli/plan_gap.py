@@ -17,7 +17,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from dotsim_ros.cli._options import HERE, Whole, WorkerOptions
+from dotsim_ros.cli._options import HERE, Meshes, Whole, WorkerOptions
 
 
 def run(
@@ -25,7 +25,7 @@ def run(
     protocols: Path,
     out: Path = Path("plan"),
     sensor: str = "sensor_a",
-    indenters: Path | None = None,
+    indenters: Meshes = None,
     effects: tuple[Path, ...] = (),
     channels: tuple[Literal["skin", "force"], ...] = ("skin", "force"),
     seed: Whole = 0,
@@ -38,7 +38,6 @@ def run(
         protocols: data set whose poses are the protocols.
         out: folder of the solves.
         sensor: name or YAML file of the calibrated twin.
-        indenters: folder of the indenters' meshes; without it in the data set, then next to it.
         effects: folders of your own effects: every NAME.py there is run as a program; they are
             listed before.
         channels: used.

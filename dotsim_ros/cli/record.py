@@ -17,10 +17,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dotsim_ros.cli._options import Whole, say
+from dotsim_ros.cli._options import NoSeed, say
 
 
-def run(*, repair: Path, out: Path | None = None, json: Path | None = None, seed: Whole = 0) -> int:
+def run(
+    *, repair: Path, out: Path | None = None, json: Path | None = None, seed: NoSeed = 0
+) -> int:
     """Make the bag, and say what is in it and what is not.
 
     Args:
@@ -28,7 +30,6 @@ def run(*, repair: Path, out: Path | None = None, json: Path | None = None, seed
         out: folder of the new bag, which must not exist; without it BAG without .partial, else
             BAG_repaired.
         json: write what became of it here.
-        seed: accepted; nothing here is random.
     """
     from dotsim_ros.data.repair import repair_bag
     from dotsim_ros.io.files import write_json

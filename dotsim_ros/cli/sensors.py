@@ -19,7 +19,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.cli._options import Whole, say
+from dotsim_ros.cli._options import NoSeed, Whole, say
 
 NOT_MEASURED = (
     "frames_per_second is null: not measured, as it is of one machine; --frames N measures it"
@@ -34,7 +34,7 @@ def run(
     *names: str,
     pictures: Path | None = None,
     frames: Whole | None = None,
-    seed: Whole = 0,
+    seed: NoSeed = 0,
     json: Path | None = None,
 ) -> int:
     """Print the list, and write it and the pictures.
@@ -43,7 +43,6 @@ def run(
         names: sensors to list; without it all.
         pictures: write idle and pressed images here.
         frames: measure the rate of so many frames of each.
-        seed: accepted; nothing here is random.
         json: write the list to this file as well.
     """
     from dotsim_ros.io.files import shipped_names, write_json

@@ -18,14 +18,14 @@ example:
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from dotsim_ros.cli._options import Judged, Whole, say
+from dotsim_ros.cli._options import Judged, Whole, redraw, say
 from dotsim_ros.cli._split import filmed_split
+from dotsim_ros.io.progress import bar
 
 HELD_OUT_COUNT = 9
 Network = Literal["ours", "paper", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet"]
@@ -123,13 +123,9 @@ def run(
 
 def _show(progress: TrainingProgress) -> None:
     """Draw a bar on a terminal; elsewhere print a line an epoch."""
-    filled = 30 * progress.epoch // progress.epochs
-    line = (
-        f"[{'#' * filled:<30}] epoch {progress.epoch}/{progress.epochs}  "
-        f"{progress.psnr_db:.2f} dB in training  {progress.left_s / 60.0:.1f} min left"
+    note = (
+        f"epoch {progress.epoch}/{progress.epochs}  {progress.psnr_db:.2f} dB in training  "
+        f"{progress.left_s / 60.0:.1f} min left"
     )
-    if sys.stderr.isatty():
-        end = "\n" if progress.epoch == progress.epochs else ""
-        print(f"\r{line}", end=end, file=sys.stderr, flush=True)
-    else:
-        say(line)
+    is_last = progress.epoch == progress.epochs
+    redraw(bar(progress.epoch / progress.epochs, note), is_last=is_last)

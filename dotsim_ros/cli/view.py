@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dotsim_ros.cli._options import Whole, say, within
+from dotsim_ros.cli._options import NoSeed, say, within
 
 SLOWEST_FPS, FASTEST_FPS = 0.1, 240.0
 LEAST_SPEED, GREATEST_SPEED = 1e-3, 1e3
@@ -36,7 +36,7 @@ def run(
     speed: Annotated[float, within(LEAST_SPEED, GREATEST_SPEED)] = 1.0,
     columns: Annotated[int, within(1, LARGEST_COLUMN_COUNT, int)] = 6,
     rest: Path | None = None,
-    seed: Whole = 0,
+    seed: NoSeed = 0,
     image: str | None = None,
     depth: str | None = None,
     points: str | None = None,
@@ -52,7 +52,6 @@ def run(
         speed: seconds of the bag in one of the video.
         columns: of the contact sheet.
         rest: .npz with rest_position_m (V, 3) of the skin.
-        seed: accepted; nothing here is random.
         image: topic of the image.
         depth: topic of the depth.
         points: topic of the points.
