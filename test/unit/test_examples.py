@@ -64,13 +64,6 @@ def test_an_example_is_short_listed_and_run_by_a_test(name: str) -> None:
     assert any(f'("{name}"' in test.read_text(encoding="utf-8") for test in TESTS)
 
 
-def test_the_list_names_only_files_that_there_are() -> None:
-    named = re.findall(r"\]\(([^)\s]+)\)", (EXAMPLES / "README.md").read_text(encoding="utf-8"))
-    assert set(SCRIPTS) <= set(named)
-    for name in named:
-        assert (EXAMPLES / name).is_file(), name
-
-
 def test_a_press_is_saved(tmp_path: Path) -> None:
     printed = start("press_and_save.py", tmp_path)
     force_n = json.loads(re.search(r"force (\[.*\]) N", printed)[1])  # type: ignore[index]
@@ -99,9 +92,8 @@ def test_an_arm_in_mujoco_holds_what_the_gel_pushes_back(tmp_path: Path) -> None
     assert cv2.imread(str(tmp_path / "peg.png")).shape == (480 + TITLE_HEIGHT_PX, 3 * 640, 3)
 
 
-@pytest.mark.parametrize("shape", ["ball", "box"])
-def test_two_fingers_lift_turn_and_hold_by_friction_alone(tmp_path: Path, shape: str) -> None:
-    printed = run("two_fingers.py", tmp_path, shape, 0.5)
+def test_two_fingers_lift_turn_and_hold_by_friction_alone(tmp_path: Path) -> None:
+    printed = run("two_fingers.py", tmp_path, "ball", 0.5)
     assert re.findall(r"(\w+) after .*, 0 contacts in MuJoCo", printed) == [
         "lifted",
         "turned",
