@@ -150,10 +150,12 @@ class RayPool(ThreadPoolExecutor):
         with self._lock:
             self._is_ended = True
             workers = list(self._workers)
+        # Before any thread can take another task.
+        self.shutdown(wait=False, cancel_futures=True)
         self._idle.put(None)
         for worker in workers:
             self._kill(worker)
-        self.shutdown(cancel_futures=True)
+        self.shutdown()
 
     def _do(self, work: Packed) -> Any:
         """Return the answer to a task.
