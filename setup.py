@@ -33,8 +33,6 @@ ROS = [
     "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
 ]
 TEST = [
-    # the options of studies, from the functions that they call
-    "cyclopts>=5",
     "cyclonedds>=0.10.5",
     # a ray tracer that shares no code with the package's own
     "embreex>=2.17.7.post5",
@@ -147,6 +145,8 @@ setup(
     data_files=shared_files(),
     install_requires=[
         "POT>=0.9",
+        # the options of commands and studies, from the functions that they call
+        "cyclopts>=5",
         "imageio-ffmpeg>=0.4.9",
         # the pages of reports
         "jinja2>=3.1",

@@ -16,11 +16,11 @@ example:
 
 from __future__ import annotations
 
-import argparse
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
-from dotsim_ros.cli._made import recreated
+from dotsim_ros.cli._options import NoSeed, Whole
 
 SENSOR, RECORDER, PLAYER = "tactile_sim", "tactile_record", "indenter_player"
 START_TIMEOUT_S = 180.0
@@ -29,20 +29,23 @@ LAST_FRAMES_S = 0.5
 """Simulated time after the last pose, for the frames that show it."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder (out/demo)")
-    parser.add_argument("--presses", type=int, default=4, help="how many of the 12 shipped (4)")
-    parser.add_argument(
-        "--depth-mm", type=float, default=3.0, help="depth at which presses turn (3)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="accepted; nothing here is random")
+def run(
+    *,
+    out: Path = Path("out/demo"),
+    presses: Whole = 4,
+    depth_mm: float = 3.0,
+    seed: NoSeed = 0,
+) -> int:
+    """Run the demonstration and print the paths of its files.
 
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the demonstration and print the paths of its files."""
+    Args:
+        out: folder.
+        presses: how many of the 12 shipped.
+        depth_mm: depth at which presses turn.
+    """
     from dotsim_ros.data.bag import bag_sha256
     from dotsim_ros.io.progress import PrintedProgress
+    from dotsim_ros.io.replacement import recreated
     from dotsim_ros.nodes.common.processes import NodeProcess
     from dotsim_ros.nodes.common.transport import stay_local
     from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
@@ -53,17 +56,17 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.view.bag import view_bag
 
     stay_local()
-    bag: Path = arguments.out / "presses"
-    numbers, depth_m = list(range(arguments.presses)), 1e-3 * arguments.depth_mm
+    bag = out / "presses"
+    numbers, depth_m = list(range(presses)), 1e-3 * depth_mm
     played = PlayerParameters(source="presses", press_numbers=tuple(numbers), depth_limit_m=depth_m)
     duration_s = program_of(played).motion.duration_s
-    parameters = {
+    parameters: dict[str, dict[str, Any]] = {
         SENSOR: {},
         RECORDER: {"output": bag},
         PLAYER: {"source": "presses", "press_numbers": numbers, "depth_limit_m": depth_m},
     }
     told = PrintedProgress()
-    with recreated(arguments.out, "presses"), ExitStack() as stack:
+    with recreated(out, "presses"), ExitStack() as stack:
         processes = {}
         for name, own in parameters.items():
             processes[name] = NodeProcess(name, {**own, "use_sim_time": True, "stepped": True})
@@ -82,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
         raise OSError("; ".join(failed))
-    shown = view_bag(bag, arguments.out, print)
+    shown = view_bag(bag, out, print)
     print(f"bag {bag_sha256(bag)}")
     for path in [bag, *shown]:
         print(path)

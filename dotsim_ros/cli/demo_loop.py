@@ -18,37 +18,45 @@ example:
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from pathlib import Path
+from typing import Literal
 
-from dotsim_ros.cli._made import recreated
+from dotsim_ros.cli._options import Whole, say
 
 POLICY = "densetact2_sphere"
-MOTIONS = ("line", "arc", "figure_eight", "press")
-CLOCKS = ("simulated", "realtime")
+Motion = Literal["line", "arc", "figure_eight", "press"]
+Clock = Literal["simulated", "realtime"]
 MOST_LAPS = 1e4
 PATIENCE = 2.0
 """Times that a lap takes the expert, after which the policy is not waited for any more."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    add = parser.add_argument
-    add("--out", type=Path, default=Path("out/demo-loop"), help="folder (out/demo-loop)")
-    add("--policy", default=POLICY, help=f"folder or name of the policy ({POLICY})")
-    add("--path", choices=MOTIONS, default="figure_eight", help="path to follow (figure_eight)")
-    add("--laps", type=float, default=2.0, help="how many laps to make (2)")
-    add("--clock", choices=CLOCKS, default=CLOCKS[0], help="how time passes (simulated)")
-    add("--one-process", action="store_true", help="sensor, arm and policy in one process")
-    add("--sensor", help="name or file of the sensor (the one that the policy was trained on)")
-    add("--seed", type=int, default=0, help="seed of the start (0)")
-    add("--json", type=Path, help="file to write the figures to")
+def run(
+    *,
+    out: Path = Path("out/demo-loop"),
+    policy: str = POLICY,
+    path: Motion = "figure_eight",
+    laps: float = 2.0,
+    clock: Clock = "simulated",
+    one_process: bool = False,
+    sensor: str | None = None,
+    seed: Whole = 0,
+    json: Path | None = None,
+) -> int:
+    """Run the demonstration and print the paths of its files.
 
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the demonstration and print the paths of its files."""
+    Args:
+        out: folder.
+        policy: folder or name of the policy.
+        path: to follow.
+        laps: how many to make.
+        clock: how time passes.
+        one_process: sensor, arm and policy in one process.
+        sensor: name or file of the sensor; without it the one that the policy was trained on.
+        seed: of the start.
+        json: file to write the figures to.
+    """
     import numpy as np
 
     from dotsim_ros.control.loop.judge import judge, summary_of, trial_start
@@ -64,6 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.io.page import write_page
     from dotsim_ros.io.progress import bar
     from dotsim_ros.io.provenance import provenance
+    from dotsim_ros.io.replacement import recreated
     from dotsim_ros.nodes.common.transport import stay_local
     from dotsim_ros.nodes.loop.closed_loop import (
         SENSOR,
@@ -75,35 +84,35 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
     from dotsim_ros.specification import load_sensor
 
-    if not (0.0 < arguments.laps < MOST_LAPS):
-        raise ValueError(f"--laps is {arguments.laps:g}, expected more than 0, under {MOST_LAPS:g}")
+    if not (0.0 < laps < MOST_LAPS):
+        raise ValueError(f"--laps is {laps:g}, expected more than 0, under {MOST_LAPS:g}")
     stay_local()
-    folder = policy_folder(arguments.policy)
+    folder = policy_folder(policy)
     card, _ = read_policy(folder)
-    sensor = arguments.sensor or card.sensor
+    sensor = sensor or card.sensor
     contact = contact_of(load_sensor(sensor), load_indenter(loop_parameters(SENSOR)["indenter"]))
-    path = reference_path(arguments.path, contact)
-    bag: Path = arguments.out / "loop"
+    reference = reference_path(path, contact)
+    bag = out / "loop"
     setup = LoopSetup(
         policy_name(folder),
         sensor=sensor,
-        one_process=arguments.one_process,
+        one_process=one_process,
     )
 
     def laps_are_made(recording: LoopRecording) -> bool:
-        done = judge(recording, path, setup.limits()).get("laps", 0.0)
+        done = judge(recording, reference, setup.limits()).get("laps", 0.0)
         made = float(np.ptp(recording.pose_s)) / (time.monotonic() - begun_s)
-        note = f"{done:.2f} of {arguments.laps:g} laps, {made:.2f} times real time"
-        print(bar(done / arguments.laps, note), file=sys.stderr, flush=True)
-        return bool(done >= arguments.laps)
+        note = f"{done:.2f} of {laps:g} laps, {made:.2f} times real time"
+        say(bar(done / laps, note))
+        return bool(done >= laps)
 
     with (
-        recreated(arguments.out, "loop"),
-        ClosedLoop(setup, contact=contact, clock=arguments.clock) as loop,
+        recreated(out, "loop"),
+        ClosedLoop(setup, contact=contact, clock=clock) as loop,
     ):
-        loop.start(path.name)
-        start_m = trial_start(path, contact, seed=arguments.seed, number=0)
-        longest_s = APPROACH_S + PATIENCE * arguments.laps * path.lap_s
+        loop.start(reference.name)
+        start_m = trial_start(reference, contact, seed=seed, number=0)
+        longest_s = APPROACH_S + PATIENCE * laps * reference.lap_s
         begun_s = time.monotonic()
         observed = loop.trial(start_m, longest_s, bag=bag, is_done=laps_are_made)
         statuses = loop.close()
@@ -111,29 +120,29 @@ def run(arguments: argparse.Namespace) -> int:
     if failed:
         raise OSError("; ".join(failed))
     recording = read_loop_bag(bag, notes=observed.notes)
-    row = judge(recording, path, setup.limits())
+    row = judge(recording, reference, setup.limits())
     row |= {
-        "laps_asked": arguments.laps,
-        "clock": arguments.clock,
+        "laps_asked": laps,
+        "clock": clock,
         "frames_per_second": row.get("frame_rate_hz"),
         "bag_sha256": bag_sha256(bag),
         "speed_factor": round(loop.led_speed_factor, 3),
     }
-    image = path_image(path.name, [recording], name="path")
+    image = path_image(path, [recording], name="path")
     page = trial_report(
         row,
         setup.limits(),
         image,
-        path=path.name,
+        path=path,
         policy=card.name,
         sensor=beside(setup.sensor, "", replaces=(".yaml", ".yml")).name,
         origin=provenance(),
     )
-    write_page(arguments.out, page)
-    for file in filter(None, (arguments.out / "report.json", arguments.json)):
+    write_page(out, page)
+    for file in filter(None, (out / "report.json", json)):
         write_json(file, row | {"provenance": provenance()})
     print(summary_of(row))
     print(f"{row['speed_factor']:g} times real time, bag {row['bag_sha256']}")
     for name in ("loop", "path.png", "report.html", "report.md", "report.json"):
-        print(arguments.out / name)
+        print(out / name)
     return 0

@@ -16,75 +16,78 @@ example:
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from pathlib import Path
 
-from dotsim_ros.cli._workers import add_worker_arguments, crew_of
+from dotsim_ros.cli._options import HERE, Whole, WorkerOptions, say
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    add = parser.add_argument
-    add("--sensor", default="densetact2", metavar="FILE", help="the sensor's file, or its name")
-    add("--indenter", default="sphere_4mm", metavar="FILE", help="a ball's name or definition")
-    add("--paths", nargs="+", metavar="PATH", help="line, arc, figure_eight, press (all)")
-    add("--episodes", type=int, default=24, metavar="N", help="motions (24)")
-    add(
-        "--frames", type=int, default=250, metavar="N", help="frames of each motion, at 25 Hz (250)"
-    )
-    add("--looks", type=int, default=2, metavar="N", help="cameras that see each motion (2)")
-    add(
-        "--wander",
-        type=float,
-        default=0.5,
-        metavar="SHARE",
-        help="share of motions off the paths (0.5)",
-    )
-    add("--policy", type=Path, metavar="DIR", help="policy that drives in the expert's place")
-    add("--seed", type=int, default=0, help="seed of all draws (0)")
-    add_worker_arguments(parser)
-    add("--out", type=Path, default=Path("out/demonstrations"), metavar="DIR")
-    add("--json", type=Path, metavar="FILE", help="write what was made to this file as well")
+def run(
+    *,
+    sensor: str = "densetact2",
+    indenter: str = "sphere_4mm",
+    paths: tuple[str, ...] = (),
+    episodes: Whole = 24,
+    frames: Whole = 250,
+    looks: Whole = 2,
+    wander: float = 0.5,
+    policy: Path | None = None,
+    seed: Whole = 0,
+    workers: WorkerOptions = HERE,
+    out: Path = Path("out/demonstrations"),
+    json: Path | None = None,
+) -> int:
+    """Make the demonstrations.
 
-
-def run(arguments: argparse.Namespace) -> int:
-    """Make the demonstrations."""
+    Args:
+        sensor: the sensor's file, or its name.
+        indenter: a ball's name or definition.
+        paths: line, arc, figure_eight, press; without it all.
+        episodes: motions.
+        frames: of each motion, at 25 Hz.
+        looks: cameras that see each motion.
+        wander: share of motions off the paths.
+        policy: folder of the policy that drives in the expert's place.
+        seed: of all draws.
+        out: folder to write.
+        json: write what was made to this file as well.
+    """
     from dotsim_ros.control.policy.demonstration import Plan, demonstrate, read_card
     from dotsim_ros.control.policy.paths import PATHS, reference_path
     from dotsim_ros.geometry.indenter import load_indenter
     from dotsim_ros.io.files import write_json
     from dotsim_ros.specification import load_sensor
 
-    paths = tuple(arguments.paths or PATHS)
+    paths = paths or PATHS
     for name in paths:
         reference_path(name)
-    sensor = load_sensor(arguments.sensor)
+    specification = load_sensor(sensor)
     plan = Plan(
-        sensor=sensor.name,
+        sensor=specification.name,
         paths=paths,
-        episode_count=arguments.episodes,
-        frame_count=arguments.frames,
-        look_count=arguments.looks,
-        wander_share=arguments.wander,
-        seed=arguments.seed,
-        policy="" if arguments.policy is None else str(arguments.policy),
+        episode_count=episodes,
+        frame_count=frames,
+        look_count=looks,
+        wander_share=wander,
+        seed=seed,
+        policy="" if policy is None else str(policy),
     )
     begun_s = time.monotonic()
 
     def show(done: int, count: int) -> None:
         spent_s = time.monotonic() - begun_s
         left_min = spent_s * (count - done) / done / 60.0
-        print(f"episode {done}/{count}  {left_min:.1f} min left", file=sys.stderr, flush=True)
+        say(f"episode {done}/{count}  {left_min:.1f} min left")
 
-    indenter = load_indenter(arguments.indenter)
-    frames = demonstrate(
-        sensor, indenter, plan, arguments.out, progress=show, workers=crew_of(arguments)
+    made = demonstrate(
+        specification,
+        load_indenter(indenter),
+        plan,
+        out,
+        progress=show,
+        workers=workers.crew(),
     )
-    if arguments.json is not None:
-        write_json(arguments.json, {"frames": frames, **read_card(arguments.out)})
-    print(
-        f"{plan.episode_count} episodes, {frames} images of {', '.join(paths)} in {arguments.out}"
-    )
+    if json is not None:
+        write_json(json, {"frames": made, **read_card(out)})
+    print(f"{plan.episode_count} episodes, {made} images of {', '.join(paths)} in {out}")
     return 0

@@ -20,158 +20,129 @@ example:
 
 from __future__ import annotations
 
-import argparse
+import inspect
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from dotsim_ros.cli._workers import add_worker_arguments, crew_of
+from cyclopts import Parameter
+
+from dotsim_ros.cli._options import HERE, Meshes, Whole, WorkerOptions
 
 EXAMPLE = "gap/example_report.html"
 """The report of `find-gap --demo`, below params/."""
-CHANNELS = ("skin", "force", "image")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    add = parser.add_argument
-    add("--measured", type=Path, help="folder of the data set")
-    add("--out", type=Path, default=Path("report"), help="folder of the report (report)")
-    add("--sensor", default="sensor_a", help="name or YAML file of the calibrated twin (sensor_a)")
-    add("--reference", type=Path, help="the unit's commissioning: what has changed since?")
-    add(
-        "--indenters",
-        type=Path,
-        metavar="DIR",
-        help="folder of the indenters' meshes (in the data set, then next to it)",
-    )
-    add(
-        "--effects",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="DIR",
-        help="folders of your own effects: every NAME.py there is run as a program, or with "
-        "--candidates those named alone; they are listed before",
-    )
-    add(
-        "--channels",
-        nargs="+",
-        choices=CHANNELS,
-        help="used (all; image where the bags hold images and idle_*.png lie next to them)",
-    )
-    add("--candidates", nargs="+", default=[], help="effects to look for (all)")
-    add("--alpha", type=float, default=0.02, help="chance of a name without an effect (0.02)")
-    add(
-        "--budget",
-        type=int,
-        help="solves of a trajectory after which sizes are refined no more (no limit)",
-    )
-    add("--seed", type=int, default=0, help="of all draws (0)")
-    add_worker_arguments(parser)
-    add("--discrepancy", type=Path, help="file of the model's own error (the shipped one)")
-    add("--optical-noise", type=Path, help="file of the images' noise (the shipped one)")
-    add(
-        "--fit-optical-noise",
-        type=Path,
-        metavar="FILE",
-        help="only estimate the images' noise from data without an effect, and write it here",
-    )
-    add("--json", type=Path, help="write the findings here as well")
-    add(
-        "--demo",
-        action="store_true",
-        help="search a shipped set that finite elements solved; --seed says which of three",
-    )
-    add(
-        "--example",
-        action="store_true",
-        help="search nothing: print where the finished report of --demo lies, to open in a browser",
-    )
+def run(
+    *,
+    measured: Path | None = None,
+    out: Path = Path("report"),
+    sensor: str = "sensor_a",
+    reference: Path | None = None,
+    indenters: Meshes = None,
+    effects: tuple[Path, ...] = (),
+    channels: tuple[Literal["skin", "force", "image"], ...] = (),
+    candidates: tuple[str, ...] = (),
+    alpha: float = 0.02,
+    budget: Whole | None = None,
+    seed: Whole = 0,
+    workers: WorkerOptions = HERE,
+    discrepancy: Path | None = None,
+    optical_noise: Path | None = None,
+    fit_optical_noise: Path | None = None,
+    json: Path | None = None,
+    demo: bool = False,
+    show_example: Annotated[bool, Parameter(name="--example")] = False,
+) -> int:
+    """Search, write the report, print the answer.
 
-
-def run(arguments: argparse.Namespace) -> int:
-    """Search, write the report, print the answer."""
-    asked = (arguments.demo, arguments.example, arguments.measured is not None)
-    if sum(asked) != 1:
+    Args:
+        measured: folder of the data set.
+        out: folder of the report.
+        sensor: name or YAML file of the calibrated twin.
+        reference: the unit's commissioning: what has changed since?
+        effects: folders of your own effects: every NAME.py there is run as a program, or with
+            --candidates those named alone; they are listed before.
+        channels: used; without it all, image where the bags hold images and idle_*.png lie next to
+            them.
+        candidates: effects to look for; without it all.
+        alpha: chance of a name without an effect.
+        budget: solves of a trajectory after which sizes are refined no more; without it no limit.
+        seed: of all draws.
+        discrepancy: file of the model's own error; without it the shipped one.
+        optical_noise: file of the images' noise; without it the shipped one.
+        fit_optical_noise: only estimate the images' noise from data without an effect, and write it
+            to this file.
+        json: write the findings here as well.
+        demo: search a shipped set that finite elements solved; --seed says which of three.
+        show_example: search nothing: print where the finished report of --demo lies, to open in a
+            browser.
+    """
+    given = dict(locals())
+    if demo + show_example + (measured is not None) != 1:
         raise ValueError("name a data set with --measured, or ask for --demo or --example")
-    if arguments.example:
-        _check_alone(arguments, "--example shows a finished report", ("example",))
+    if show_example:
+        _check_alone(given, "--example shows a finished report", ("show_example",))
         from dotsim_ros.io.files import parameter_path
 
         print(parameter_path(EXAMPLE).resolve().as_uri())
         return 0
-    if arguments.demo:
-        _check_demo(arguments)
+    if demo:
+        taken = ("demo", "out", "seed", "workers")
+        why = "--demo makes its own data and searches for every effect"
+        _check_alone(given, why, taken)
+        if seed < 0:
+            raise ValueError(f"seed is {seed}, expected 0 or more")
         from dotsim_ros.gap.demo import run_demo
 
-        return run_demo(arguments.out, seed=arguments.seed, workers=crew_of(arguments))
-    from dotsim_ros.gap.find import find_gap, fit_optical_noise
+        return run_demo(out, seed=seed, workers=workers.crew())
+    from dotsim_ros.gap import find
     from dotsim_ros.gap.findings import as_record
     from dotsim_ros.io.files import write_json
     from dotsim_ros.io.page import HTML
     from dotsim_ros.io.printable import one_line
     from dotsim_ros.io.progress import PrintedProgress
 
+    assert measured is not None
     common: dict[str, Any] = {
-        "sensor": arguments.sensor,
-        "reference": arguments.reference,
-        "indenters": arguments.indenters,
-        "effects": arguments.effects,
-        "workers": crew_of(arguments),
+        "sensor": sensor,
+        "reference": reference,
+        "indenters": indenters,
+        "effects": effects,
+        "workers": workers.crew(),
         "progress": PrintedProgress(),
     }
-    if arguments.fit_optical_noise is not None:
-        null = fit_optical_noise(
-            arguments.measured,
-            arguments.fit_optical_noise,
-            run_folder=arguments.out / "run",
-            **common,
-        )
-        print(f"{arguments.fit_optical_noise}: {null.source}")
+    if fit_optical_noise is not None:
+        null = find.fit_optical_noise(measured, fit_optical_noise, run_folder=out / "run", **common)
+        print(f"{fit_optical_noise}: {null.source}")
         return 0
-    findings = find_gap(
-        arguments.measured,
-        out=arguments.out,
-        channels=arguments.channels,
-        candidates=arguments.candidates,
-        alpha=arguments.alpha,
-        budget=arguments.budget,
-        seed=arguments.seed,
-        discrepancy=arguments.discrepancy,
-        optical_noise=arguments.optical_noise,
+    findings = find.find_gap(
+        measured,
+        out=out,
+        channels=channels or None,
+        candidates=candidates,
+        alpha=alpha,
+        budget=budget,
+        seed=seed,
+        discrepancy=discrepancy,
+        optical_noise=optical_noise,
         **common,
     )
-    if arguments.json is not None:
-        write_json(arguments.json, as_record(findings))
+    if json is not None:
+        write_json(json, as_record(findings))
     print(f"\n{one_line(findings.sentence)}")
     for text in findings.warnings:
         print(f"- {one_line(text)}")
-    print(f"{arguments.out / HTML}: {findings.verdict.value}")
+    print(f"{out / HTML}: {findings.verdict.value}")
     return findings.verdict.exit_status
 
 
-def _check_demo(arguments: argparse.Namespace) -> None:
-    """Refuse what the demonstration would leave out of account."""
-    _check_alone(
-        arguments,
-        "--demo makes its own data and searches for every effect",
-        ("demo", "out", "seed", "workers", "ray_address"),
-    )
-    if arguments.seed < 0 or arguments.workers < 1:
-        raise ValueError(
-            f"seed is {arguments.seed} and workers {arguments.workers}, expected 0 or more and 1 "
-            "or more"
-        )
-
-
-def _check_alone(arguments: argparse.Namespace, why: str, taken: tuple[str, ...]) -> None:
+def _check_alone(given: Mapping[str, Any], why: str, taken: tuple[str, ...]) -> None:
     """Refuse options that are set and not taken."""
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
     others = [
         f"--{name.replace('_', '-')}"
-        for name, value in vars(arguments).items()
-        if name not in taken and value != parser.get_default(name)
+        for name, parameter in inspect.signature(run).parameters.items()
+        if name not in taken and given[name] != parameter.default
     ]
     if others:
         raise ValueError(f"{why}: leave out {', '.join(others)}")

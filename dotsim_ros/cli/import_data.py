@@ -14,29 +14,29 @@ example:
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated, Literal
 
-SETS = ("densetact", "ecoflex_compression", "gelsight_mini_force")
+from cyclopts import Parameter
 
+from dotsim_ros.cli._options import NoSeed
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    parser.add_argument("name", choices=SETS, metavar="NAME", help=", ".join(SETS))
-    parser.add_argument(
-        "--from", dest="source", type=Path, required=True, metavar="DIR", help="folder as published"
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, help="folder of the data set, which must not exist"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="accepted; nothing here is random")
+Set = Literal["densetact", "ecoflex_compression", "gelsight_mini_force"]
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Write the data set, and say what it holds."""
+def run(
+    name: Set, /, *, source: Annotated[Path, Parameter(name="--from")], out: Path, seed: NoSeed = 0
+) -> int:
+    """Write the data set, and say what it holds.
+
+    Args:
+        name: of the recording.
+        source: folder as published.
+        out: folder of the data set, which must not exist.
+    """
     from dotsim_ros.data.importers.registry import IMPORTERS
 
-    made = IMPORTERS[arguments.name](arguments.source, arguments.out)
+    made = IMPORTERS[name](source, out)
     frames = sum(entry.frame_count for entry in made.entries)
     print(f"{made.directory}: {len(made.entries)} trajectories, {frames} frames")
     return 0

@@ -16,14 +16,17 @@ example:
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from dotsim_ros.cli._options import NoSeed, within
 
 if TYPE_CHECKING:
     from dotsim_ros.geometry.indenter import Indenter
@@ -34,43 +37,34 @@ HIGHEST_PORT = 65535
 SENSOR, INDENTER, PROFILE = "densetact2", "sphere_4mm", "realtime"
 
 
-def _port(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text[:6]) <= HIGHEST_PORT):
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 0 to {HIGHEST_PORT}")
-    return int(text)
+def run(
+    *,
+    port: Annotated[int, within(0, HIGHEST_PORT, int)] = PORT,
+    sensor: str | None = None,
+    indenter: str | None = None,
+    profile: str | None = None,
+    out: Path = Path("out/live"),
+    open_page: Annotated[bool, Parameter(name="--open")] = False,
+    attach: bool = False,
+    node: str = "tactile_sim",
+    ros_args: Annotated[tuple[str, ...], Parameter(allow_leading_hyphen=True)] = (),
+    seed: NoSeed = 0,
+) -> int:
+    """Serve the page until Ctrl-C.
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    parser.add_argument("--port", type=_port, default=PORT, help=f"0: any that is free ({PORT})")
-    parser.add_argument(
-        "--sensor",
-        help=f"name below params/sensors or a YAML file ({SENSOR}); the page's menu has the others",
-    )
-    parser.add_argument(
-        "--indenter",
-        help="name below params/indenters, a YAML, STL, OBJ or PLY file, or a definition such as "
-        f"'sphere(radius_m=0.003)' ({INDENTER})",
-    )
-    parser.add_argument("--profile", help=f"exact, realtime or fast ({PROFILE})")
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/live"), help="folder of recorded bags (out/live)"
-    )
-    parser.add_argument("--open", action="store_true", help="open the page in a browser")
-    parser.add_argument("--attach", action="store_true", help="show a running tactile_sim")
-    parser.add_argument("--node", default="tactile_sim", help="its name (tactile_sim)")
-    parser.add_argument(
-        "--ros-args",
-        nargs=argparse.REMAINDER,
-        default=[],
-        metavar="...",
-        help="namespace and remaps for --attach; last",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="accepted; nothing here is random")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Serve the page until Ctrl-C."""
+    Args:
+        port: of the page; 0 for any that is free.
+        sensor: name below params/sensors or a YAML file, without it densetact2; the page's menu has
+            the others.
+        indenter: name below params/indenters, a YAML, STL, OBJ or PLY file, or a definition such as
+            'sphere(radius_m=0.003)'; without it sphere_4mm.
+        profile: exact, realtime or fast; without it realtime.
+        out: folder of recorded bags.
+        open_page: open the page in a browser.
+        attach: show a running tactile_sim.
+        node: its name.
+        ros_args: namespace and remaps for --attach; last.
+    """
     try:
         import websockets  # noqa: F401
     except ImportError as error:
@@ -82,13 +76,20 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.live.server import PageServer
 
     # What is wrong with the command is said before a page opens.
-    show = (_attached if arguments.attach else _simulated)(arguments)
-    server = PageServer(arguments.port)
-    desk = LiveDesk(arguments.out, server.publish)
+    if attach:
+        if sensor is not None or profile is not None:
+            raise ValueError("--sensor and --profile are the node's own parameters: set them there")
+        show = _attached(indenter, node, ros_args)
+    else:
+        if ros_args:
+            raise ValueError("--ros-args are for --attach: a sensor of this process has no topics")
+        show = _simulated(sensor or SENSOR, indenter or INDENTER, profile or PROFILE)
+    server = PageServer(port)
+    desk = LiveDesk(out, server.publish)
     server.start(desk)
     try:
         print(f"open {server.url}", flush=True)
-        if arguments.open and _has_screen():
+        if open_page and _has_screen():
             webbrowser.open(server.url)
         return show(desk)
     finally:
@@ -104,22 +105,19 @@ def _has_screen() -> bool:
     )
 
 
-def _simulated(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
+def _simulated(sensor: str, given: str, profile: str) -> Callable[[LiveDesk], int]:
     """Return what presses a sensor of this process until Ctrl-C."""
     from dotsim_ros.io.files import shipped_names
     from dotsim_ros.nodes.live_page.simulated import SimulatedSubject
     from dotsim_ros.nodes.tactile_sim.profiles import PROFILES
     from dotsim_ros.specification import load_sensor
 
-    if arguments.ros_args:
-        raise ValueError("--ros-args are for --attach: a sensor of this process has no topics")
-    profile = arguments.profile or PROFILE
     if profile not in PROFILES:
         raise ValueError(f"--profile is {profile!r}, expected one of {', '.join(PROFILES)}")
-    first = load_sensor(arguments.sensor or SENSOR)
+    first = load_sensor(sensor)
     sensors = {name: load_sensor(name) for name in shipped_names("sensors")}
     sensors[first.name] = first
-    name, indenter = _indenter(arguments.indenter or INDENTER)
+    name, indenter = _indenter(given)
     names = list(dict.fromkeys([*shipped_names("indenters"), name]))
 
     def show(desk: LiveDesk) -> int:
@@ -142,10 +140,8 @@ def _simulated(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
     return show
 
 
-def _attached(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
+def _attached(given: str | None, node: str, ros_args: Sequence[str]) -> Callable[[LiveDesk], int]:
     """Return what shows a running node until Ctrl-C."""
-    if arguments.sensor is not None or arguments.profile is not None:
-        raise ValueError("--sensor and --profile are the node's own parameters: set them there")
     try:
         import rclpy  # noqa: F401
     except ImportError as error:
@@ -157,14 +153,14 @@ def _attached(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
     from dotsim_ros.nodes.common.spin import run_node
     from dotsim_ros.nodes.live_page.attachment import LiveAttachment
 
-    drawn = None if arguments.indenter is None else _indenter(arguments.indenter)[1]
+    drawn = None if given is None else _indenter(given)[1]
 
     def show(desk: LiveDesk) -> int:
         return run_node(
             lambda: LiveAttachment(
-                desk, node_name=arguments.node, indenters=shipped_names("indenters"), indenter=drawn
+                desk, node_name=node, indenters=shipped_names("indenters"), indenter=drawn
             ),
-            arguments=["--ros-args", *arguments.ros_args],
+            arguments=["--ros-args", *ros_args],
         )
 
     return show

@@ -14,65 +14,54 @@ example:
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Literal
 
-from dotsim_ros.cli._workers import add_worker_arguments, crew_of
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    add = parser.add_argument
-    add("--protocols", type=Path, required=True, help="data set whose poses are the protocols")
-    add("--out", type=Path, default=Path("plan"), help="folder of the solves (plan)")
-    add("--sensor", default="sensor_a", help="name or YAML file of the calibrated twin (sensor_a)")
-    add(
-        "--indenters",
-        type=Path,
-        metavar="DIR",
-        help="folder of the indenters' meshes (in the data set, then next to it)",
-    )
-    add(
-        "--effects",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="DIR",
-        help="folders of your own effects: every NAME.py there is run as a program; they are "
-        "listed before",
-    )
-    add(
-        "--channels",
-        nargs="+",
-        choices=("skin", "force"),
-        default=["skin", "force"],
-        help="used (all)",
-    )
-    add("--seed", type=int, default=0, help="seed of the draws (0)")
-    add_worker_arguments(parser)
-    add("--json", type=Path, help="write the figures here")
+from dotsim_ros.cli._options import HERE, Meshes, Whole, WorkerOptions
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Simulate, and print the matrix."""
+def run(
+    *,
+    protocols: Path,
+    out: Path = Path("plan"),
+    sensor: str = "sensor_a",
+    indenters: Meshes = None,
+    effects: tuple[Path, ...] = (),
+    channels: tuple[Literal["skin", "force"], ...] = ("skin", "force"),
+    seed: Whole = 0,
+    workers: WorkerOptions = HERE,
+    json: Path | None = None,
+) -> int:
+    """Simulate, and print the matrix.
+
+    Args:
+        protocols: data set whose poses are the protocols.
+        out: folder of the solves.
+        sensor: name or YAML file of the calibrated twin.
+        effects: folders of your own effects: every NAME.py there is run as a program; they are
+            listed before.
+        channels: used.
+        seed: of the draws.
+        json: write the figures here.
+    """
     from dotsim_ros.gap.plan import plan, plan_lines
     from dotsim_ros.gap.presses.search_state import GapRequest
     from dotsim_ros.io.files import write_json
     from dotsim_ros.specification import load_sensor
 
     request = GapRequest(
-        measured=arguments.protocols,
-        sensor=load_sensor(arguments.sensor),
-        directory=arguments.out / "run",
-        indenters=arguments.indenters,
-        effects=tuple(arguments.effects),
-        channels=tuple(arguments.channels),
-        seed=arguments.seed,
-        workers=crew_of(arguments),
+        measured=protocols,
+        sensor=load_sensor(sensor),
+        directory=out / "run",
+        indenters=indenters,
+        effects=effects,
+        channels=channels,
+        seed=seed,
+        workers=workers.crew(),
     )
     planned = plan(request)
     for line in plan_lines(planned):
         print(line)
-    if arguments.json is not None:
-        write_json(arguments.json, planned)
+    if json is not None:
+        write_json(json, planned)
     return 0

@@ -15,43 +15,33 @@ example:
 
 from __future__ import annotations
 
-import argparse
-import sys
 from pathlib import Path
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    parser.add_argument(
-        "--repair",
-        type=Path,
-        required=True,
-        metavar="BAG",
-        help="folder of the bag, or its .mcap file",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        help="folder of the new bag, which must not exist (BAG without .partial, else "
-        "BAG_repaired)",
-    )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write what became of it here")
-    parser.add_argument("--seed", type=int, default=0, help="accepted; nothing here is random")
+from dotsim_ros.cli._options import NoSeed, say
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Make the bag, and say what is in it and what is not."""
+def run(
+    *, repair: Path, out: Path | None = None, json: Path | None = None, seed: NoSeed = 0
+) -> int:
+    """Make the bag, and say what is in it and what is not.
+
+    Args:
+        repair: folder of the bag, or its .mcap file.
+        out: folder of the new bag, which must not exist; without it BAG without .partial, else
+            BAG_repaired.
+        json: write what became of it here.
+    """
     from dotsim_ros.data.repair import repair_bag
     from dotsim_ros.io.files import write_json
 
-    repaired = repair_bag(arguments.repair, arguments.out)
+    repaired = repair_bag(repair, out)
     for words in repaired.damage:
-        print(f"dotsim_ros record: {words}", file=sys.stderr)
+        say(f"dotsim_ros record: {words}")
     counts = ", ".join(f"{topic} {count}" for topic, count in repaired.counts.items())
     print(f"{repaired.bag}: {sum(repaired.counts.values())} messages ({counts})")
-    if arguments.json is not None:
+    if json is not None:
         write_json(
-            arguments.json,
+            json,
             {
                 "bag": str(repaired.bag),
                 "messages": dict(repaired.counts),

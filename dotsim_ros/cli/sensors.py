@@ -8,7 +8,7 @@ contact and one with a ball of 4 mm radius pressed into it, arrows at printed ma
 as long as their motion). With --frames the frames a second of each on this machine, while such a
 ball presses and slides; a first run also computes the gel's tables, which takes minutes.
 
-examples:
+example:
   dotsim_ros sensors --json sensors.json
   dotsim_ros sensors digit gelslim --pictures pictures
   dotsim_ros sensors digit --frames 200
@@ -16,10 +16,10 @@ examples:
 
 from __future__ import annotations
 
-import argparse
-import sys
 from pathlib import Path
 from typing import Any
+
+from dotsim_ros.cli._options import NoSeed, Whole, say
 
 NOT_MEASURED = (
     "frames_per_second is null: not measured, as it is of one machine; --frames N measures it"
@@ -30,36 +30,39 @@ MEASURED = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    add = parser.add_argument
-    add("names", nargs="*", metavar="NAME", help="sensors to list (all)")
-    add("--pictures", type=Path, metavar="DIR", help="write idle and pressed images here")
-    add("--frames", type=int, metavar="N", help="measure the rate of N frames of each (none)")
-    add("--seed", type=int, default=0, help="accepted; nothing here is random")
-    add("--json", type=Path, metavar="FILE", help="write the list to this file as well")
+def run(
+    *names: str,
+    pictures: Path | None = None,
+    frames: Whole | None = None,
+    seed: NoSeed = 0,
+    json: Path | None = None,
+) -> int:
+    """Print the list, and write it and the pictures.
 
-
-def run(arguments: argparse.Namespace) -> int:
-    """Print the list, and write it and the pictures."""
+    Args:
+        names: sensors to list; without it all.
+        pictures: write idle and pressed images here.
+        frames: measure the rate of so many frames of each.
+        json: write the list to this file as well.
+    """
     from dotsim_ros.io.files import shipped_names, write_json
     from dotsim_ros.io.provenance import provenance
 
     shipped = shipped_names("sensors")
-    names = arguments.names or shipped
-    unknown = [name for name in names if name not in shipped]
+    listed_names = list(names) or shipped
+    unknown = [name for name in listed_names if name not in shipped]
     if unknown:
         raise ValueError(f"no shipped sensor {unknown[0]!r}; there are {', '.join(shipped)}")
-    listed = [_described(name, arguments.frames) for name in names]
-    _print_table(listed, is_measured=arguments.frames is not None)
-    if arguments.json is not None:
-        note = NOT_MEASURED if arguments.frames is None else MEASURED
+    listed = [_described(name, frames) for name in listed_names]
+    _print_table(listed, is_measured=frames is not None)
+    if json is not None:
+        note = NOT_MEASURED if frames is None else MEASURED
         listing = {"sensors": listed, "note": note, "provenance": provenance()}
-        write_json(arguments.json, listing)
-    if arguments.pictures is not None:
+        write_json(json, listing)
+    if pictures is not None:
         from dotsim_ros.view.sensors import write_pictures
 
-        for path in write_pictures(names, arguments.pictures):
+        for path in write_pictures(listed_names, pictures):
             print(f"wrote {path}", flush=True)
     return 0
 
@@ -74,7 +77,7 @@ def _described(name: str, frame_count: int | None) -> dict[str, Any]:
     if frame_count is not None:
         from dotsim_ros.view.sensors import frames_per_second
 
-        print(f"measuring {name}", file=sys.stderr, flush=True)
+        say(f"measuring {name}")
         rate = round(frames_per_second(sensor, frame_count), 1)
     return {
         "name": name,

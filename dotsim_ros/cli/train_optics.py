@@ -18,92 +18,62 @@ example:
 
 from __future__ import annotations
 
-import argparse
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from dotsim_ros.optics.network.card import TRAINED
+from cyclopts import Parameter
+
+from dotsim_ros.cli._options import Judged, Whole, redraw, say
+from dotsim_ros.cli._split import filmed_split
+from dotsim_ros.io.progress import bar
+
+HELD_OUT_COUNT = 9
+Network = Literal["ours", "paper", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet"]
 
 if TYPE_CHECKING:
     from dotsim_ros.learning.training import TrainingProgress
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    add = parser.add_argument
-    add("--data", type=Path, required=True, metavar="DIR", help="folder of the data set")
-    add("--sensor", required=True, metavar="FILE", help="the sensor's file, or its name")
-    add("--out", type=Path, default=Path("out/optics"), metavar="DIR", help="folder (out/optics)")
-    add("--sensor-out", type=Path, metavar="FILE", help="sensor's file to write (OUT/sensor.yaml)")
-    add(
-        "--record",
-        type=Path,
-        metavar="DIR",
-        help="folder of state, preview and report (OUT_training)",
-    )
-    add("--network", choices=TRAINED, default="ours", help="kind of the network (ours)")
-    judged = parser.add_mutually_exclusive_group()
-    judged.add_argument(
-        "--hold-out",
-        type=int,
-        metavar="COUNT",
-        help="judge on so many trajectories, drawn by the seed of --split-seed; by default a third",
-    )
-    judged.add_argument(
-        "--leave-out", nargs="+", metavar="INDENTER", help="judge on all of these indenters"
-    )
-    add("--trajectories", nargs="+", metavar="NAME", help="use these alone (all with images)")
-    add("--split-seed", type=int, default=0, help="seed of the split (0)")
-    add("--seed", type=int, default=0, help="seed of the training (0)")
-    add(
-        "--epochs",
-        type=int,
-        metavar="COUNT",
-        help="passes over all frames (the network's own number)",
-    )
-    add("--size", type=int, metavar="WIDTH", help="width of the network's images, in pixels")
-    add("--json", type=Path, metavar="FILE", help="copy the figures to this file as well")
+def usual_hold_out(count: int) -> int:
+    """Return on how many of so many trajectories a network is judged."""
+    return HELD_OUT_COUNT if count > 2 * HELD_OUT_COUNT else count // 3
 
 
-def split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the trajectories to train on and to judge on.
+def run(
+    *,
+    data: Path,
+    sensor: str,
+    out: Path = Path("out/optics"),
+    sensor_out: Path | None = None,
+    record: Path | None = None,
+    network: Network = "ours",
+    hold_out: Annotated[Whole | None, Parameter(group=Judged)] = None,
+    leave_out: Annotated[tuple[str, ...], Parameter(group=Judged)] = (),
+    trajectories: tuple[str, ...] = (),
+    split_seed: Whole = 0,
+    seed: Whole = 0,
+    epochs: Whole | None = None,
+    size: Whole | None = None,
+    json: Path | None = None,
+) -> int:
+    """Train, write the files, and print the figures.
 
-    Raises:
-        ValueError: an unknown trajectory or indenter, or nothing left to train on.
+    Args:
+        data: folder of the data set.
+        sensor: the sensor's file, or its name.
+        out: folder of the network.
+        sensor_out: sensor's file to write; without it OUT/sensor.yaml.
+        record: folder of state, preview and report; without it OUT_training.
+        network: kind of the network.
+        hold_out: judge on so many trajectories, drawn by --split-seed; without it on a third.
+        leave_out: judge on all of these indenters.
+        trajectories: use these alone; without it all with images.
+        split_seed: seed of the split.
+        seed: of the training.
+        epochs: passes over all frames; without it the network's own number.
+        size: width of the network's images, in pixels.
+        json: copy the figures to this file as well.
     """
-    from dotsim_ros.data.data_set import read_data_set
-    from dotsim_ros.data.split import HELD_OUT_COUNT, hold_out_of_protocols
-
-    entries = [entry for entry in read_data_set(arguments.data).entries if entry.has_images]
-    indenter_of = {entry.name: entry.indenter for entry in entries}
-    names = sorted(arguments.trajectories or indenter_of)
-    unknown = sorted(set(names) - set(indenter_of))
-    if unknown or not names:
-        raise ValueError(
-            f"{arguments.data} has no trajectory with images named {', '.join(unknown) or 'at all'}"
-        )
-    if arguments.leave_out is not None:
-        known = {indenter_of[name] for name in names}
-        missing = sorted(set(arguments.leave_out) - known)
-        if missing or set(arguments.leave_out) == known:
-            raise ValueError(
-                f"--leave-out {' '.join(arguments.leave_out)}: indenters are "
-                f"{', '.join(sorted(known))}; name some of them, not all"
-            )
-        held_out = tuple(name for name in names if indenter_of[name] in arguments.leave_out)
-        return tuple(name for name in names if name not in held_out), held_out
-    count = arguments.hold_out
-    if count is None:
-        count = HELD_OUT_COUNT if len(names) > 2 * HELD_OUT_COUNT else len(names) // 3
-    if not count:
-        return tuple(names), ()
-    # The same draw as calibrate's: neither gel nor camera has seen what is judged.
-    return hold_out_of_protocols(names, count, arguments.split_seed)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Train, write the files, and print the figures."""
     try:
         from dotsim_ros.learning.run import SENSOR, TrainOpticsRequest, train_optics
     except ModuleNotFoundError as error:
@@ -113,49 +83,49 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.io.files import write_json
     from dotsim_ros.specification import load_sensor, read_comment, sensor_path
 
-    sensor_file = arguments.sensor_out or arguments.out / SENSOR
+    sensor_file = sensor_out or out / SENSOR
     if sensor_file.suffix not in (".yaml", ".yml"):
         raise ValueError(f"--sensor-out is {sensor_file}, expected a file that ends in .yaml")
-    train, held_out = split(arguments)
+    train, held_out = filmed_split(
+        data,
+        trajectories=trajectories,
+        leave_out=leave_out,
+        hold_out=hold_out,
+        usual=usual_hold_out,
+        seed=split_seed,
+    )
     report = train_optics(
         TrainOpticsRequest(
-            data=arguments.data,
-            sensor=load_sensor(arguments.sensor),
+            data=data,
+            sensor=load_sensor(sensor),
             train=train,
             held_out=held_out,
-            kind=arguments.network,
-            seed=arguments.seed,
-            epochs=arguments.epochs,
-            size=arguments.size,
-            out=arguments.out,
-            record=arguments.record or arguments.out.with_name(f"{arguments.out.name}_training"),
+            kind=network,
+            seed=seed,
+            epochs=epochs,
+            size=size,
+            out=out,
+            record=record or out.with_name(f"{out.name}_training"),
             sensor_file=sensor_file,
-            sensor_comment="\n".join(read_comment(sensor_path(arguments.sensor))),
+            sensor_comment="\n".join(read_comment(sensor_path(sensor))),
         ),
-        say=lambda line: print(line, file=sys.stderr, flush=True),
+        say=say,
         progress=_show,
     )
-    if arguments.json is not None:
-        write_json(arguments.json, report)
+    if json is not None:
+        write_json(json, report)
     print(f"trained on {len(train)} trajectories, judged on {len(held_out) or 'the same'}")
     for name, value in report["metrics"].items():
         print(f"{name:<28}{value:7.2f}")
-    print(
-        f"{report['epochs']} epochs in {report['minutes']} minutes of CPU time; files in "
-        f"{arguments.out}"
-    )
+    print(f"{report['epochs']} epochs in {report['minutes']} minutes of CPU time; files in {out}")
     return 0
 
 
 def _show(progress: TrainingProgress) -> None:
     """Draw a bar on a terminal; elsewhere print a line an epoch."""
-    filled = 30 * progress.epoch // progress.epochs
-    line = (
-        f"[{'#' * filled:<30}] epoch {progress.epoch}/{progress.epochs}  "
-        f"{progress.psnr_db:.2f} dB in training  {progress.left_s / 60.0:.1f} min left"
+    note = (
+        f"epoch {progress.epoch}/{progress.epochs}  {progress.psnr_db:.2f} dB in training  "
+        f"{progress.left_s / 60.0:.1f} min left"
     )
-    if sys.stderr.isatty():
-        end = "\n" if progress.epoch == progress.epochs else ""
-        print(f"\r{line}", end=end, file=sys.stderr, flush=True)
-    else:
-        print(line, file=sys.stderr, flush=True)
+    is_last = progress.epoch == progress.epochs
+    redraw(bar(progress.epoch / progress.epochs, note), is_last=is_last)

@@ -16,32 +16,42 @@ example:
 
 from __future__ import annotations
 
-import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from dotsim_ros.cli._options import Whole, say
 
 if TYPE_CHECKING:
     from dotsim_ros.control.policy.training import PolicyProgress
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    add = parser.add_argument
-    add("--data", type=Path, nargs="+", required=True, metavar="DIR", help="demonstrations")
-    add("--out", type=Path, default=Path("out/policy"), metavar="DIR", help="folder (out/policy)")
-    add("--record", type=Path, metavar="DIR", help="folder of state and report (OUT_training)")
-    add("--name", metavar="NAME", help="name of the policy (that of OUT)")
-    add("--start", type=Path, metavar="FILE", help="begin with the weights of this training.pt")
-    add("--examples", type=int, default=80_000, metavar="N", help="examples shown in all (80000)")
-    add("--learning-rate", type=float, default=2e-3, metavar="RATE", help="the highest one (2e-3)")
-    add("--size", type=int, default=80, metavar="PX", help="side of the network's images (80)")
-    add("--seed", type=int, default=0, help="seed of the training (0)")
-    add("--json", type=Path, metavar="FILE", help="copy the report to this file as well")
+def run(
+    *,
+    data: tuple[Path, ...],
+    out: Path = Path("out/policy"),
+    record: Path | None = None,
+    name: str | None = None,
+    start: Path | None = None,
+    examples: Whole = 80_000,
+    learning_rate: float = 2e-3,
+    size: Whole = 80,
+    seed: Whole = 0,
+    json: Path | None = None,
+) -> int:
+    """Train, write the files, and print the figures.
 
-
-def run(arguments: argparse.Namespace) -> int:
-    """Train, write the files, and print the figures."""
+    Args:
+        data: folders of demonstrations.
+        out: folder of the policy.
+        record: folder of state and report; without it OUT_training.
+        name: of the policy; without it that of OUT.
+        start: begin with the weights of this training.pt.
+        examples: shown in all.
+        learning_rate: the highest one.
+        size: side of the network's images, in pixels.
+        seed: of the training.
+        json: copy the report to this file as well.
+    """
     try:
         from dotsim_ros.control.policy.training import PolicyRecipe, train_policy
     except ModuleNotFoundError as error:
@@ -51,32 +61,30 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.io.files import write_json
 
     report = train_policy(
-        arguments.data,
-        arguments.out,
-        record=arguments.record or arguments.out.with_name(f"{arguments.out.name}_training"),
-        name=arguments.name or arguments.out.name,
+        data,
+        out,
+        record=record or out.with_name(f"{out.name}_training"),
+        name=name or out.name,
         recipe=PolicyRecipe(
-            example_count=arguments.examples,
-            learning_rate=arguments.learning_rate,
-            side_px=arguments.size,
+            example_count=examples,
+            learning_rate=learning_rate,
+            side_px=size,
         ),
-        seed=arguments.seed,
+        seed=seed,
         progress=_show,
-        start=arguments.start,
+        start=start,
     )
-    if arguments.json is not None:
-        write_json(arguments.json, report)
+    if json is not None:
+        write_json(json, report)
     print("on the episodes held out:")
     for name, value in report["card"]["metrics"].items():
         print(f"{name:<36}{1e3 * value:7.3f} e-3")
-    print(f"the policy is in {arguments.out}")
+    print(f"the policy is in {out}")
     return 0
 
 
 def _show(progress: PolicyProgress) -> None:
-    print(
+    say(
         f"{progress.done}/{progress.count} examples  velocity {1e3 * progress.error_m_s:.2f} mm/s, "
-        f"place {1e3 * progress.place_error_m:.2f} mm wrong  {progress.left_s / 60.0:.1f} min left",
-        file=sys.stderr,
-        flush=True,
+        f"place {1e3 * progress.place_error_m:.2f} mm wrong  {progress.left_s / 60.0:.1f} min left"
     )

@@ -14,85 +14,62 @@ example:
 
 from __future__ import annotations
 
-import argparse
-import math
-import sys
-from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from dotsim_ros.cli._options import NoSeed, say, within
 
 SLOWEST_FPS, FASTEST_FPS = 0.1, 240.0
 LEAST_SPEED, GREATEST_SPEED = 1e-3, 1e3
 LARGEST_COLUMN_COUNT = 24
 
 
-def _within(least: float, greatest: float) -> Callable[[str], float]:
-    def number(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not least <= value <= greatest:
-            raise argparse.ArgumentTypeError(
-                f"{text} is not a number from {least:g} to {greatest:g}"
-            )
-        return value
+def run(
+    bag: Path,
+    /,
+    *,
+    out: Path = Path("out"),
+    video: Annotated[Literal["mp4", "gif", "both", "none"], Parameter(name="--format")] = "mp4",
+    fps: Annotated[float | None, within(SLOWEST_FPS, FASTEST_FPS)] = None,
+    speed: Annotated[float, within(LEAST_SPEED, GREATEST_SPEED)] = 1.0,
+    columns: Annotated[int, within(1, LARGEST_COLUMN_COUNT, int)] = 6,
+    rest: Path | None = None,
+    seed: NoSeed = 0,
+    image: str | None = None,
+    depth: str | None = None,
+    points: str | None = None,
+    wrench: str | None = None,
+) -> int:
+    """Write the files and print their paths.
 
-    return number
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and 1 <= int(text[:4]) <= LARGEST_COLUMN_COUNT):
-        raise argparse.ArgumentTypeError(
-            f"{text} is not a whole number from 1 to {LARGEST_COLUMN_COUNT}"
-        )
-    return int(text)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    parser.add_argument("bag", type=Path, help="folder of a ROS 2 bag")
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the files (out)")
-    parser.add_argument(
-        "--format",
-        choices=("mp4", "gif", "both", "none"),
-        default="mp4",
-        help="format of the video (mp4)",
-    )
-    parser.add_argument(
-        "--fps",
-        type=_within(SLOWEST_FPS, FASTEST_FPS),
-        help=f"frames a second, {SLOWEST_FPS:g} to {FASTEST_FPS:g} (those of the bag)",
-    )
-    parser.add_argument(
-        "--speed",
-        type=_within(LEAST_SPEED, GREATEST_SPEED),
-        default=1.0,
-        help=f"seconds of the bag in one of the video, {LEAST_SPEED:g} to {GREATEST_SPEED:g} (1)",
-    )
-    parser.add_argument(
-        "--columns", type=_count, default=6, help="columns of the contact sheet (6)"
-    )
-    parser.add_argument("--rest", type=Path, help=".npz with rest_position_m (V, 3) of the skin")
-    parser.add_argument("--seed", type=int, default=0, help="accepted; nothing here is random")
-    for name in ("image", "depth", "points", "wrench"):
-        parser.add_argument(f"--{name}", metavar="TOPIC", help=f"topic of the {name}")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Write the files and print their paths."""
+    Args:
+        bag: folder of a ROS 2 bag.
+        out: folder of the files.
+        video: format of the video.
+        fps: frames a second; without it those of the bag.
+        speed: seconds of the bag in one of the video.
+        columns: of the contact sheet.
+        rest: .npz with rest_position_m (V, 3) of the skin.
+        image: topic of the image.
+        depth: topic of the depth.
+        points: topic of the points.
+        wrench: topic of the wrench.
+    """
     from dotsim_ros.view.bag import view_bag
     from dotsim_ros.view.timeline import ViewTopics
 
     paths = view_bag(
-        arguments.bag,
-        arguments.out,
-        lambda words: print(f"dotsim_ros view: {words}", file=sys.stderr),
-        topics=ViewTopics(arguments.image, arguments.depth, arguments.points, arguments.wrench),
-        formats=_FORMATS[arguments.format],
-        fps=arguments.fps,
-        speed=arguments.speed,
-        column_count=arguments.columns,
-        rest=arguments.rest,
+        bag,
+        out,
+        lambda words: say(f"dotsim_ros view: {words}"),
+        topics=ViewTopics(image=image, depth=depth, points=points, wrench=wrench),
+        formats=_FORMATS[video],
+        fps=fps,
+        speed=speed,
+        column_count=columns,
+        rest=rest,
     )
     for path in paths:
         print(path)

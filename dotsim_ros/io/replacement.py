@@ -163,6 +163,29 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
+@contextmanager
+def recreated(directory: Path, name: str) -> Iterator[None]:
+    """Remove the sub-folder that the same command made before, and note the one that the block
+    makes.
+
+    What a block leaves that ends with Ctrl-C or a failure is the command's, too: the next run
+    removes it. All that writes there must have ended with the block.
+
+    Args:
+        directory: in which the sub-folder lies.
+        name: of it.
+
+    Raises:
+        FileExistsError: as `remove_made`, before the block.
+    """
+    remove_made(directory, name)
+    try:
+        yield
+    finally:
+        if (directory / name).exists():
+            note_made(directory, name)
+
+
 def note_made(directory: Path, name: str) -> None:
     """Note what a command made, so that `remove_made` may remove it.
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -40,15 +41,6 @@ def die() -> None:
     os.kill(os.getpid(), 9)
 
 
-def die_once(number: int, folder: Path) -> tuple[int, int]:
-    """Die at the first try of an odd number; return the number and the process."""
-    died = folder / str(number)
-    if number % 2 and not died.exists():
-        died.touch()
-        die()
-    return number, os.getpid()
-
-
 def place(number: int, seconds: float) -> tuple[int, str]:
     """Return the number and where it was worked on, after a while."""
     import ray
@@ -59,6 +51,21 @@ def place(number: int, seconds: float) -> tuple[int, str]:
 
 def large(number: int) -> np.ndarray:
     return np.full(200_000, float(number))
+
+
+def is_there(pid: int) -> bool:
+    """Return whether a process runs: it is neither gone nor waits for its parent."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def wait_until(happened: Callable[[], bool], patience_s: float) -> None:
+    end_s = time.monotonic() + patience_s
+    while not happened():
+        assert time.monotonic() < end_s, "it has not happened"
+        time.sleep(0.05)
 
 
 def tell_and_sleep(_number: int, path: Path) -> None:

@@ -97,7 +97,7 @@ def test_a_block_that_fails_gives_the_threads_back() -> None:
 def test_a_command_and_what_it_starts_have_one_thread() -> None:
     program = (
         "from dotsim_ros.cli import calibrate, main\n"
-        "def run(_):\n"
+        "def run(*, data: str, out: str):\n"
         "    import numpy, scipy.linalg, subprocess, sys\n"
         "    from threadpoolctl import threadpool_info\n"
         "    print([one['num_threads'] for one in threadpool_info()])\n"

@@ -6,7 +6,6 @@ checks of its links find what is broken."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import tomllib
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
+from cyclopts import App, Parameter
 from programs import program
 
 from dotsim_ros.effects.effect import Active, Response, response_filters
@@ -86,10 +86,10 @@ def test_the_example_of_an_indenter_is_one(tmp_path: Path) -> None:
 def test_the_example_of_a_command_runs(capsys: pytest.CaptureFixture[str]) -> None:
     names: dict[str, object] = {}
     exec(blocks(section(text_of("extend.md"), "A command"), "python")[0], names)
-    parser = argparse.ArgumentParser()
-    names["add_arguments"](parser)  # type: ignore[operator]
-    assert names["run"](parser.parse_args(["densetact2"])) == 0  # type: ignore[operator]
-    assert capsys.readouterr().out == "0.01575\n"
+    app = App(default_parameter=Parameter(consume_multiple=True))
+    app.default(names["run"])
+    assert app(["densetact2", "--scale", "1000"], result_action="return_value") == 0
+    assert capsys.readouterr().out == "15.75\n"
 
 
 def test_the_table_of_effects_is_up_to_date() -> None:

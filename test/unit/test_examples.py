@@ -64,13 +64,6 @@ def test_an_example_is_short_listed_and_run_by_a_test(name: str) -> None:
     assert any(f'("{name}"' in test.read_text(encoding="utf-8") for test in TESTS)
 
 
-def test_the_list_names_only_files_that_there_are() -> None:
-    named = re.findall(r"\]\(([^)\s]+)\)", (EXAMPLES / "README.md").read_text(encoding="utf-8"))
-    assert set(SCRIPTS) <= set(named)
-    for name in named:
-        assert (EXAMPLES / name).is_file(), name
-
-
 def test_a_press_is_saved(tmp_path: Path) -> None:
     printed = start("press_and_save.py", tmp_path)
     force_n = json.loads(re.search(r"force (\[.*\]) N", printed)[1])  # type: ignore[index]

@@ -19,15 +19,11 @@ from dotsim_ros.io.files import check_output_file, check_output_folder
 COMMANDS = (
     "calibrate --data DATA --out OUT.yaml",
     "calibrate-camera --data DATA --sensor sensor_a --out OUT.yaml",
-    "evaluate --data DATA --sensor sensor_a --out OUT",
     "find-gap --measured DATA --out OUT",
-    "find-gap --demo --out OUT",
     "plan-gap --protocols DATA --out OUT",
     "train-optics --data DATA --sensor sensor_a --out OUT",
-    "train-policy --data DATA --out OUT",
     "demonstrate --out OUT",
     "view DATA --out OUT",
-    "demo --out OUT",
     "demo-loop --out OUT",
     "plan-gap --protocols DATA --json OUT",
 )

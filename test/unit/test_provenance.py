@@ -22,11 +22,6 @@ def test_an_installed_command_goes_by_its_name(
     assert provenance()["command"] == "dotsim_ros view bag"
 
 
-def test_a_package_goes_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["/home/somebody/studies/__main__.py", "rl"])
-    assert provenance()["command"] == "python -m studies rl"
-
-
 @pytest.mark.parametrize(
     ("program", "command"),
     [("tools/canary.py", "tools/canary.py"), ("/home/me/studies/__main__.py", "-m studies")],

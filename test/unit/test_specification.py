@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,11 +16,11 @@ import numpy as np
 import pytest
 import yaml
 
+from dotsim_ros import specification
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.make import body_of, skin_of
 from dotsim_ros.io.files import given_path, parameter_path
 from dotsim_ros.io.quantity import quantities_of, quantity
-from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
 from dotsim_ros.specification import (
     LARGEST_MEMORY_BYTES,
     SECTIONS,
@@ -29,11 +28,9 @@ from dotsim_ros.specification import (
     ContactSpecification,
     GelSpecification,
     LightingSpecification,
-    MaterialSpecification,
     NoiseSpecification,
     SensorSpecification,
     SolverSpecification,
-    VignettingSpecification,
     field_page,
     load_sensor,
     sensor_from,
@@ -88,17 +85,10 @@ def test_missing_entries_take_their_defaults(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("gel: {radius: 1}", r"section 'gel' has unknown entries \['radius'\]; known are"),
-        ("gel: {1: 2}", "'1' is no text and so no name"),
         ("jelly: {}\n3: 4", "'3' is no text and so no name"),
-        ("gel: 3", "section 'gel' is 3, expected names and their values"),
-        ("gel: 0", "section 'gel' is 0, expected names and their values"),
         ("gel: []", r"section 'gel' is \[\], expected names and their values"),
-        ("gel: ''", "section 'gel' is '', expected names and their values"),
-        ("gel: false", "section 'gel' is false, expected names and their values"),
         ("- 1\n- 2", "holds no mapping"),
-        ("gel: {shape: [", "is no valid YAML"),
         ("name: 5", "name is 5, expected text"),
-        ("gel: {}\ngel: {}", "'gel' is given twice"),
         ("gel: {shape: dome, shape: dome}", "'shape' is given twice"),
     ],
 )
@@ -132,66 +122,32 @@ def test_a_sensor_and_its_image_may_lie_in_the_home(
     assert given_path(sensor.camera.idle_image) == tmp_path / "idle.png"
 
 
-@pytest.mark.parametrize("source", ["no_such_sensor", "/nowhere/sensor.yaml"])
-def test_missing_sensor_is_named(source: str) -> None:
-    with pytest.raises(FileNotFoundError, match="sensor"):
-        load_sensor(source)
-
-
 @pytest.mark.parametrize(
     ("section", "entry", "value", "expected"),
     [
         # Text: a closed set, or any.
         ("gel", "shape", "cube", "one of dome, flat_pad"),
-        ("gel", "shape", "[dome]", "one of dome, flat_pad"),
-        ("material", "law", "rubber", "one of neo_hookean, mooney_rivlin, yeoh"),
-        ("solver", "method", "magic", "one of implicit, explicit"),
         ("camera", "idle_image", "3", "text"),
-        ("camera", "residual", "[a]", "text"),
         # Numbers: below, above, not finite, of another type.
-        ("gel", "skin_spacing_m", "0", "a number from 5.0e-05 to 0.005 m"),
         ("gel", "skin_spacing_m", ".nan", "a number from 5.0e-05 to 0.005 m"),
-        ("gel", "skin_spacing_m", "'wide'", "a number from 5.0e-05 to 0.005 m"),
-        ("gel", "outer_radius_m", ".inf", "a number from 0.001 to 0.2 m"),
         ("gel", "outer_radius_m", "true", "a number from 0.001 to 0.2 m"),
         ("gel", "outer_radius_m", "", "a number from 0.001 to 0.2 m"),
         ("gel", "outer_radius_m", "[0.01]", "a number from 0.001 to 0.2 m"),
         ("gel", "outer_radius_m", "1" + 400 * "0", "a number from 0.001 to 0.2 m"),
-        ("gel", "core_radius_m", "-0.001", "a number from 0 to 0.2 m"),
-        ("material", "youngs_modulus_pa", "2.0e+9", "a number from 100 to 1.0e+09 Pa"),
-        ("material", "poisson_ratio", "0.5", "a number from 0 to 0.4999"),
-        ("material", "density_kg_m3", "-1", "a number from 1 to 30000 kg/m^3"),
-        ("contact", "friction_coefficient", "9", "a number from 0 to 5"),
         ("contact", "stiffness", "0", "a number from above 0 to 100000"),
-        ("contact", "tangential_ratio", "-0.5", "a number from above 0 to 100"),
-        ("solver", "grid_spacing_m", "1.0e-5", "a number from 0.0002 to 0.01 m"),
-        ("solver", "tolerance_m", "0", "a number from 1.0e-12 to 0.001 m"),
-        ("camera", "half_height_angle_deg", "181", "a number from 1 to 180 deg"),
         ("noise", "deviation_levels", "-1", "a number from 0 to 50 grey levels of 255"),
-        ("lighting", "crosstalk", "1.5", "a number from 0 to 1"),
-        ("pattern", "contrast", "2", "a number from 0 to 1"),
         # Whole numbers.
-        ("camera", "width", "640.9", "a whole number from 16 to 4096 px"),
         ("camera", "width", "640.0", "a whole number from 16 to 4096 px"),
-        ("camera", "width", "many", "a whole number from 16 to 4096 px"),
         ("camera", "height", "true", "a whole number from 16 to 4096 px"),
-        ("camera", "height", "8192", "a whole number from 16 to 4096 px"),
         ("solver", "iterations", "0", "a whole number from 1 to 1000"),
-        ("noise", "seed", "-1", "a whole number from 0 to 2147483647"),
         # True or false.
         ("solver", "dynamic", "1", "true or false"),
-        ("solver", "refined", "'yes'", "true or false"),
         # Lists.
         ("gel", "pad_size_m", "0.02", "3 numbers from 0.0005 to 0.2 m"),
         ("gel", "pad_size_m", "[0.02, 0.02]", "3 numbers from 0.0005 to 0.2 m"),
-        ("gel", "pad_size_m", "[0.02, -0.02, 0.004]", "3 numbers from 0.0005 to 0.2 m"),
         ("gel", "pad_size_m", "[0.02, 0.02, true]", "3 numbers from 0.0005 to 0.2 m"),
         ("material", "prony_shares", "0.3", "a list of numbers from above 0 to 1"),
-        ("material", "prony_shares", "[0.0]", "a list of numbers from above 0 to 1"),
         ("material", "prony_times_s", "[0.0]", "a list of numbers from 1.0e-06 to 1.0e+07 s"),
-        ("camera", "distortion", "[0, 0]", "4 numbers from -100 to 100"),
-        ("camera", "position_m", "[0, 0, .nan]", "3 numbers from -0.3 to 0.3 m"),
-        ("lighting", "azimuth_deg", "60", "3 numbers from -720 to 720 deg"),
         ("vignetting", "falloff", "[a]", "a list of numbers from -100 to 100"),
     ],
 )
@@ -208,14 +164,8 @@ def test_a_bad_field_is_refused_with_its_name_its_value_and_what_it_takes(
     ("section", "entry", "value", "meant"),
     [
         ("gel", "outer_radius_m", "15.75", "0.01575 (metres)"),
-        ("gel", "core_radius_m", "6", "0.006 (metres)"),
-        ("gel", "skin_spacing_m", "0.5", "0.0005 (metres)"),
         ("gel", "pad_size_m", "[20, 25, 4]", "[0.02, 0.025, 0.004] (metres)"),
         ("solver", "grid_spacing_m", "2.4", "0.0024 (metres)"),
-        ("solver", "tolerance_m", "0.01", "1.0e-05 (metres)"),
-        ("camera", "position_m", "[0, 0, 2.5]", "[0, 0, 0.0025] (metres)"),
-        ("lighting", "radius_m", "9", "0.009 (metres)"),
-        ("pattern", "blotch_m", "0.22", "0.00022 (metres)"),
         ("material", "youngs_modulus_pa", "0.3", "300000 (pascals)"),
     ],
 )
@@ -236,7 +186,7 @@ def test_what_yaml_takes_for_text_is_told() -> None:
     assert message.endswith("this is text, the number is written 300000")
 
 
-@pytest.mark.parametrize("text", ["3e5", "3.0e5", "3E+5", "30.e4", "+3e5", "300000", ".3e6"])
+@pytest.mark.parametrize("text", ["3e5", "30.E+4", "+.3e6"])
 def test_numbers_with_an_exponent_are_numbers(text: str, tmp_path: Path) -> None:
     path = tmp_path / "sensor.yaml"
     path.write_text(f"material: {{youngs_modulus_pa: {text}}}\n", encoding="utf-8")
@@ -323,10 +273,8 @@ def test_a_sensor_that_no_machine_holds_is_refused_before_it_is_made(text: str, 
     ("gel", "spacing_m"),
     [
         (GelSpecification(), 4.8e-3),
-        (GelSpecification(), 2.4e-3),
         (GelSpecification(core_radius_m=0.0, skin_spacing_m=1e-3), 3e-3),
         (GelSpecification(core_radius_m=0.012), 2e-3),
-        (GelSpecification(shape="flat_pad", pad_size_m=(0.03, 0.02, 0.006)), 2e-3),
         (GelSpecification(shape="flat_pad", pad_size_m=(0.021, 0.017, 0.005)), 1.3e-3),
     ],
 )
@@ -395,12 +343,6 @@ def test_an_image_beside_the_file_is_found_wherever_the_folder_is(tmp_path: Path
     assert load_sensor(moved / "own.yaml").camera.idle_image == str(moved / "idle.png")
 
 
-def test_lights_have_one_set_of_defaults() -> None:
-    assert Lighting.from_specification(LightingSpecification()) == Lighting()
-    assert Lighting().lights == led_ring()
-    assert Vignetting.from_specification(VignettingSpecification()) == Vignetting()
-
-
 @pytest.mark.parametrize("kind", [SensorSpecification, *SECTIONS.values()])
 def test_every_field_says_what_it_is_and_holds_its_default(kind: type) -> None:
     known = quantities_of(kind)
@@ -430,18 +372,16 @@ def test_the_page_of_the_fields_is_up_to_date() -> None:
         for name in quantities_of(kind):
             assert f"| `{name}` |" in page
 
+    sensor = sensor_of(page.split("```yaml\n")[1].split("```")[0])
+    assert (sensor.gel.shape, sensor.camera.idle_image) == ("flat_pad", "")
 
-def test_the_page_is_printed_or_written(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "dotsim_ros.specification"]
-    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert printed == field_page()
-    subprocess.run([*command, "--markdown", str(tmp_path / "page.md")], check=True)
+
+def test_the_page_is_printed_or_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["specification"])
+    specification.main()
+    assert capsys.readouterr().out == field_page()
+    monkeypatch.setattr(sys, "argv", ["specification", "--markdown", str(tmp_path / "page.md")])
+    specification.main()
     assert (tmp_path / "page.md").read_text(encoding="utf-8") == field_page()
-
-
-def test_the_pages_example_is_a_sensor() -> None:
-    text = field_page().split("```yaml\n")[1].split("```")[0]
-    sensor = sensor_of(text)
-    assert sensor.gel.shape == "flat_pad"
-    assert MaterialSpecification() == sensor.material
-    assert sensor.camera.idle_image == ""

@@ -3,16 +3,17 @@
 
 """`dotsim_ros train-optics`: from a data set to a sensor that shows learned images."""
 
-import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
 
 from dotsim_ros.cli import calibrate_camera, train_optics
+from dotsim_ros.cli._split import filmed_split
 from dotsim_ros.cli.main import main
 from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.split import hold_out_of_protocols
@@ -71,35 +72,34 @@ def test_untouched_frames_take_noise_off_the_idle_image():
 
 def test_the_command_line_knows_every_network():
     learning = pytest.importorskip("dotsim_ros.learning.networks", exc_type=ImportError)
-    assert sorted(train_optics.TRAINED) == sorted(learning.KINDS)
+    assert sorted(get_args(train_optics.Network)) == sorted(learning.KINDS)
+
+
+def split_of(trajectories=(), leave_out=(), hold_out=None, usual=len):
+    return filmed_split(
+        SENSOR_A,
+        trajectories=trajectories,
+        leave_out=leave_out,
+        hold_out=hold_out,
+        usual=usual,
+        seed=0,
+    )
 
 
 @needs_data
 @pytest.mark.parametrize("command", [calibrate_camera, train_optics])
 def test_camera_and_network_are_judged_on_what_the_gel_is_judged_on(command):
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    required = ["--data", str(SENSOR_A), "--sensor", "sensor_a", "--out", "x.yaml"]
-    if command is train_optics:
-        _, held_out = command.split(parser.parse_args(required))
-    else:
-        _, held_out = command.split(read_data_set(SENSOR_A), parser.parse_args(required))
+    _, held_out = split_of(usual=command.usual_hold_out)
     names = [entry.name for entry in read_data_set(SENSOR_A).entries]
     assert sorted(held_out) == sorted(hold_out_of_protocols(names)[1])
 
 
 @needs_data
 def test_a_camera_is_fitted_to_the_trajectories_named():
-    parser = argparse.ArgumentParser()
-    calibrate_camera.add_arguments(parser)
-    common = ["--data", str(SENSOR_A), "--sensor", "sensor_a", "--out", "x.yaml"]
-    data_set = read_data_set(SENSOR_A)
-    named = [*common, "--trajectories", "4_torus_1", "2_cone_0", "--hold-out", "0"]
-    drawn = calibrate_camera.split(data_set, parser.parse_args(named))
-    assert drawn == (["2_cone_0", "4_torus_1"], [])
-    unknown = parser.parse_args([*common, "--trajectories", "2_cone_0", "9_none"])
+    drawn = split_of(trajectories=("4_torus_1", "2_cone_0"), hold_out=0)
+    assert drawn == (("2_cone_0", "4_torus_1"), ())
     with pytest.raises(ValueError, match="no trajectory with images named 9_none"):
-        calibrate_camera.split(data_set, unknown)
+        split_of(trajectories=("2_cone_0", "9_none"))
 
 
 @needs_data

@@ -386,5 +386,5 @@ def test_a_wrong_command_line_ends_in_one_line(capsys, answered):
         main(["view", "bag", "--columns=a\nb"])
     assert ended.value.code == 2
     last = capsys.readouterr().err.strip().splitlines()[-1]
-    assert last.startswith("dotsim_ros view: error: argument --columns: ")
+    assert last.startswith("dotsim_ros view: error: Invalid value for --columns: ")
     answered(last)

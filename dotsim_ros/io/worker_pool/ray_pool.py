@@ -3,39 +3,49 @@
 
 """A pool whose workers are actors of a Ray cluster, and lose nothing when one of them dies.
 
-Each worker has one task at a time, and the rest wait here, not in the cluster: a worker that dies
-takes nothing along but what it was at, which another does again. Ray would bind that task to the
-place where the same worker may start again, and if its machine is gone there may never be one.
+Python's thread pool has the queue: each of its threads takes a task, waits for a worker that is
+idle, and for the answer. Ray places the workers and keeps the large arrays. A task whose worker
+dies goes to any other that is idle. Ray's own retries would wait for the dead worker to be started
+again, and if its machine is gone there may be no room for that.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
 import logging
 import os
 import threading
 import uuid
-from collections import deque
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
+
+import numpy as np
+from ray import cloudpickle
 
 import dotsim_ros
 from dotsim_ros.io.printable import cut, one_line
 from dotsim_ros.io.provenance import source_hash
 from dotsim_ros.io.worker_pool import ray_worker
 from dotsim_ros.io.worker_pool.ray_worker import Expected, RayWorker
-from dotsim_ros.io.worker_pool.sharing import ArrayShelf, Packed
 
 MOST_DEATHS = 3
-"""A task that so many workers died of is not tried again, nor are workers started again where so
-many times their number died at their beginning."""
+"""A task that so many workers died of is not tried again, nor is a worker started again that died
+so often at its beginning."""
 START_S = 120.0
 """So long no worker, and no CPU free for one: there will be none."""
 LAST_WORDS = 400
+LEAST_BYTES = 64 * 1024
+"""Smaller arrays travel with the task: to find them elsewhere takes longer than to copy them."""
+KEPT_BYTES = 1 << 30
+"""Arrays that are kept for tasks to come; those which were used last stay."""
+Packed = tuple[bytes, tuple[Any, ...]]
+"""Pickled work with numbers in place of its large arrays, and what Ray knows these by."""
 _log = logging.getLogger(__name__)
 
 
@@ -64,9 +74,8 @@ def open_ray_pool(
         try:
             yield pool
             pool.shutdown()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        finally:
+            pool.end()
 
 
 @contextmanager
@@ -84,49 +93,10 @@ def _marked(folders: Sequence[Path]) -> Iterator[tuple[str, ...]]:
             mark.unlink(missing_ok=True)
 
 
-@dataclass(eq=False)
-class _Task:
-    future: Future[Any]
-    work: Packed
-    deaths: int = 0
-
-
-@dataclass(eq=False)
-class _Member:
-    """A worker.
-
-    Attributes:
-        actor: in the cluster.
-        is_placed: whether a machine has room for it.
-        task: that it is at; None while it begins, or is idle.
-    """
-
-    actor: Any
-    is_placed: bool = False
-    task: _Task | None = None
-
-
-@dataclass(frozen=True)
-class _Heard:
-    """News of a worker: the answer to one of its methods, or its death."""
-
-    member: _Member
-    method: str
-    answer: Future[Any]
-
-
-@dataclass(frozen=True)
-class _End:
-    """Word that no task comes any more."""
-
-    breaks_off: bool
-
-
-class RayPool(Executor):
+class RayPool(ThreadPoolExecutor):
     """A `concurrent.futures.Executor` on Ray; use `open_pool`.
 
     Attributes:
-        deaths: workers that died.
         task_bytes: of all tasks, without the arrays that are shared.
     """
 
@@ -138,25 +108,23 @@ class RayPool(Executor):
         given: tuple[Any, ...],
         needed: tuple[str, ...],
     ) -> None:
+        super().__init__(count, thread_name_prefix="ray pool")
         self._ray, self._count = ray, count
         # Machines of the cluster need not have this module for it to travel there.
         ray.cloudpickle.register_pickle_by_value(ray_worker)
         self._worker_class = ray.remote(num_cpus=1, max_restarts=0)(RayWorker)
-        self._expected = ray.put(_expected(needed))
+        self._expected = ray.put(expected_of(needed))
         self._shelf = ArrayShelf(ray.put)
-        beginning = self._shelf.pack((initialize, given))
-        self._beginning = ray.put(beginning.data), *beginning.arrays
-        self._events: SimpleQueue[_Task | _Heard | _End] = SimpleQueue()
-        self._waiting: deque[_Task] = deque()
-        self._members: set[_Member] = set()
-        self._starting: set[_Member] = set()
-        self._idle: deque[_Member] = deque()
-        self._broken: BaseException | None = None
-        self._is_closed = False
-        self._submitting = threading.Lock()
-        self.deaths = self.task_bytes = self._false_starts = 0
-        self._thread = threading.Thread(target=self._run, name="ray pool", daemon=True)
-        self._thread.start()
+        data, arrays = self._shelf.pack((initialize, given))
+        self._beginning = ray.put(data), *arrays
+        self._lock = threading.Lock()
+        self._workers: list[Any] = []
+        self._placed: list[Any] = []
+        self._idle: SimpleQueue[Any] = SimpleQueue()
+        """Workers; None, which stays, once there will be none."""
+        self._is_ended = False
+        self._failure: Exception | None = None
+        self.task_bytes = 0
 
     @property
     def shared_bytes(self) -> int:
@@ -169,189 +137,210 @@ class RayPool(Executor):
         Raises:
             RuntimeError: the pool is closed.
         """
-        task = _Task(Future(), self._shelf.pack((function, given, named)))
-        self.task_bytes += len(task.work.data)
-        with self._submitting:
-            if self._is_closed:
-                raise RuntimeError("the pool is closed; open another one") from self._broken
-            self._events.put(task)
-        return task.future
+        if self._failure is not None:
+            raise RuntimeError("the pool is closed; open another one") from self._failure
+        work = self._shelf.pack((function, given, named))
+        self.task_bytes += len(work[0])
+        if self._idle.empty():
+            self._add_worker()
+        return super().submit(self._do, work)
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Do what was submitted, or break it off, and end the workers."""
-        with self._submitting:
-            self._is_closed = True
-            self._events.put(_End(cancel_futures))
-        if wait:
-            self._thread.join()
+    def end(self) -> None:
+        """End the workers; what they are at is broken off, and what waits is cancelled."""
+        with self._lock:
+            self._is_ended = True
+            workers = list(self._workers)
+        # Before any thread can take another task.
+        self.shutdown(wait=False, cancel_futures=True)
+        self._idle.put(None)
+        for worker in workers:
+            self._kill(worker)
+        self.shutdown()
 
-    def _run(self) -> None:
-        """Hand out tasks until the end; all but `submit` and `shutdown` is done in this thread."""
-        is_ending = False
-        try:
-            while not (is_ending and self._is_done()):
-                try:
-                    event = self._events.get(timeout=START_S if self._lacks_place() else None)
-                except Empty:
-                    self._look_for_places()
-                    continue
-                match event:
-                    case _Task():
-                        self._waiting.append(event)
-                    case _Heard():
-                        self._hear(event)
-                    case _End():
-                        is_ending = True
-                        if event.breaks_off:
-                            break
-                self._hand_out()
-        except BaseException as error:
-            self._broken = error
-        finally:
-            self._end()
-
-    def _is_done(self) -> bool:
-        working = len(self._members) - len(self._starting) - len(self._idle)
-        return not self._waiting and not working
-
-    def _lacks_place(self) -> bool:
-        """Return whether tasks wait and no worker has found a machine."""
-        return bool(self._waiting) and not any(member.is_placed for member in self._members)
-
-    def _hand_out(self) -> None:
-        while self._waiting and self._idle:
-            task = self._waiting.popleft()
-            # A future whose worker died is running already.
-            if not task.deaths and not task.future.set_running_or_notify_cancel():
-                continue
-            member = self._idle.popleft()
-            member.task = task
-            self._ask(member, "work", task.work.data, *task.work.arrays)
-        wanted = len(self._waiting) - len(self._starting)
-        for _ in range(min(wanted, self._count - len(self._members))):
-            member = _Member(self._worker_class.remote())
-            self._members.add(member)
-            self._starting.add(member)
-            self._ask(member, "check", self._expected)
-            self._ask(member, "begin", *self._beginning)
-
-    def _ask(self, member: _Member, method: str, *given: Any) -> None:
-        answer = getattr(member.actor, method).remote(*given)
-        answer.future().add_done_callback(
-            lambda found: self._events.put(_Heard(member, method, found))
-        )
-
-    def _hear(self, heard: _Heard) -> None:
-        """Take an answer of a worker, or the news of its death.
+    def _do(self, work: Packed) -> Any:
+        """Return the answer to a task.
 
         Raises:
-            OSError: its machine is not as expected, or workers die again and again.
+            OSError: the pool has ended, or worker after worker died of the task.
+            Exception: of the task.
+        """
+        deaths = 0
+        while True:
+            worker = self._idle_worker()
+            try:
+                is_done, answer = self._ray.get(worker.work.remote(work[0], *work[1]))
+            except self._ray.exceptions.RayTaskError as error:
+                # An answer that cannot be sent.
+                self._idle.put(worker)
+                raise _cause(error) from None
+            except self._ray.exceptions.RayError as error:
+                deaths += 1
+                self._lose(worker, error)
+                if deaths == MOST_DEATHS:
+                    raise OSError(_deadly("died of the same task", error)) from None
+                self._add_worker()
+                continue
+            self._idle.put(worker)
+            if is_done:
+                return answer
+            raise answer
+
+    def _idle_worker(self) -> Any:
+        """Wait for a worker.
+
+        Raises:
+            OSError: there will be none.
             Exception: of the initializer.
         """
-        member, error = heard.member, heard.answer.exception()
-        if member not in self._members:
-            return
-        if isinstance(error, self._ray.exceptions.RayTaskError):
-            # An initializer that fails, or an answer that cannot be sent.
-            error = error.cause if isinstance(error.cause, Exception) else error
-            if member.task is None:
-                raise error
-            member.task.future.set_exception(error)
-        elif error is not None:
-            self._lose(member, error)
-            return
-        elif heard.method == "check":
-            if heard.answer.result():
-                raise OSError(heard.answer.result())
-            member.is_placed = True
-            return
-        elif member.task is not None:
-            is_done, answer = heard.answer.result()
-            (member.task.future.set_result if is_done else member.task.future.set_exception)(answer)
-        if heard.method == "begin":
-            self._starting.discard(member)
-            self._false_starts = 0
-        member.task = None
-        self._idle.append(member)
+        while True:
+            try:
+                worker = self._idle.get(timeout=START_S)
+            except Empty:
+                self._look_for_places()
+                continue
+            if worker is not None:
+                return worker
+            self._idle.put(None)
+            raise self._failure or OSError("the pool of workers was closed before this was done")
 
-    def _lose(self, member: _Member, error: BaseException) -> None:
-        """Go on without a worker.
+    def _add_worker(self) -> None:
+        """Start a worker, if there is one too few, while others go on."""
+        if len(self._workers) < self._count:
+            threading.Thread(target=self._start_worker, name="ray worker", daemon=True).start()
 
-        Raises:
-            OSError: workers die before they have begun, again and again.
-        """
-        self._members.discard(member)
-        with suppress(ValueError):
-            self._idle.remove(member)
+    def _start_worker(self) -> None:
+        """Start a worker, and again where it dies at its beginning."""
+        for _ in range(MOST_DEATHS):
+            with self._lock:
+                if self._is_ended or len(self._workers) == self._count:
+                    return
+                worker = self._worker_class.remote()
+                self._workers.append(worker)
+            try:
+                wrong = self._ray.get(worker.check.remote(self._expected))
+                if wrong:
+                    self._fail(OSError(wrong))
+                    return
+                with self._lock:
+                    self._placed.append(worker)
+                self._ray.get(worker.begin.remote(*self._beginning))
+                self._idle.put(worker)
+                return
+            except self._ray.exceptions.RayTaskError as error:
+                self._fail(_cause(error))
+                return
+            except self._ray.exceptions.RayError as error:
+                self._lose(worker, error)
+                died = error
+        self._fail(OSError(_deadly("died before they had begun", died)))
+
+    def _lose(self, worker: Any, error: Exception) -> None:
+        """Go on without a worker."""
+        with self._lock:
+            for known in (self._workers, self._placed):
+                if worker in known:
+                    known.remove(worker)
         # It may live on where only its answer was lost.
-        self._kill(member)
-        self.deaths += 1
-        task, has_begun = member.task, member not in self._starting
-        self._starting.discard(member)
-        _log.warning(
-            "a worker on Ray died (%s); %s",
-            _last_words(error),
-            "what it was at is done by another" if task else "another takes its place",
-        )
-        if task is None:
-            self._false_starts += not has_begun
-            if self._false_starts >= MOST_DEATHS * self._count:
-                what = f"{self._false_starts} workers died before they had begun"
-                raise OSError(_deadly(what, error))
-            return
-        task.deaths += 1
-        if task.deaths < MOST_DEATHS:
-            self._waiting.appendleft(task)
-        else:
-            what = f"{task.deaths} workers died of the same task"
-            task.future.set_exception(OSError(_deadly(what, error)))
+        self._kill(worker)
+        if not self._is_ended:
+            _log.warning("a worker on Ray died (%s); another takes its place", _last_words(error))
+
+    def _fail(self, failure: Exception) -> None:
+        """Let all that was asked for end with a failure."""
+        if not self._is_ended:
+            self._failure = self._failure or failure
+            self._idle.put(None)
 
     def _look_for_places(self) -> None:
-        """Give up where no worker has found a machine, and none has a CPU for one.
-
-        Raises:
-            OSError: so it is.
-        """
+        """Give up where no worker has found a machine, and none has a CPU for one."""
         total = self._ray.cluster_resources().get("CPU", 0.0)
         free = self._ray.available_resources().get("CPU", 0.0)
-        if free < 1.0:
-            raise OSError(
-                f"no worker could be started on Ray in {START_S:.0f} s: the cluster has "
-                f"{total:.0f} CPUs and {free:.0f} of them free, expected one at least; end what "
-                "holds them, or add machines with `ray start --address=...`; the same command "
-                "goes on from what is solved"
+        if not self._placed and free < 1.0:
+            self._fail(
+                OSError(
+                    f"no worker could be started on Ray in {START_S:.0f} s: the cluster has "
+                    f"{total:.0f} CPUs and {free:.0f} of them free, expected one at least; end "
+                    "what holds them, or add machines with `ray start --address=...`; the same "
+                    "command goes on from what is solved"
+                )
             )
 
-    def _end(self) -> None:
-        with self._submitting:
-            self._is_closed = True
-        while not self._events.empty():
-            event = self._events.get()
-            if isinstance(event, _Task):
-                self._waiting.append(event)
-        for task in (*self._waiting, *(m.task for m in self._members if m.task is not None)):
-            if self._broken is None and task.future.cancel():
-                continue
-            if task.future.running() or task.future.set_running_or_notify_cancel():
-                closed = OSError("the pool of workers was closed before this was done")
-                task.future.set_exception(self._broken or closed)
-        for member in self._members:
-            self._kill(member)
-
-    def _kill(self, member: _Member) -> None:
+    def _kill(self, worker: Any) -> None:
         with suppress(Exception):
-            self._ray.kill(member.actor)
+            self._ray.kill(worker)
 
 
-def _expected(needed: tuple[str, ...]) -> Expected:
+class ArrayShelf:
+    """Keeps the large arrays of tasks where all workers find them.
+
+    A task is small, what it looks at may not be: the same measured press, mesh or skin is part of
+    hundreds of tasks. Arrays are told apart by their content, not by their name, so that one which
+    is read twice is kept once, and one which has changed in between is another.
+
+    Args:
+        put: places an array, and returns what Ray knows it by.
+
+    Attributes:
+        put_bytes: of all arrays that were placed.
+    """
+
+    def __init__(self, put: Callable[[Any], Any]) -> None:
+        self._put = put
+        self._kept: OrderedDict[bytes, tuple[Any, int]] = OrderedDict()
+        self._kept_bytes = self.put_bytes = 0
+
+    def pack(self, work: Any) -> Packed:
+        """Return work whose large arrays are on the shelf."""
+        out = io.BytesIO()
+        packer = _Packer(out, self._place_of)
+        packer.dump(work)
+        return out.getvalue(), tuple(place for _, place in packer.found.values())
+
+    def _place_of(self, key: bytes, array: np.ndarray[Any, Any]) -> Any:
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key][0]
+        place = self._put(array)
+        self.put_bytes += array.nbytes
+        self._kept[key] = place, array.nbytes
+        self._kept_bytes += array.nbytes
+        while self._kept_bytes > KEPT_BYTES and len(self._kept) > 1:
+            self._kept_bytes -= self._kept.popitem(last=False)[1][1]
+        return place
+
+
+class _Packer(cloudpickle.Pickler):
+    """Writes a number in place of each large array; `ray_worker.unpack` reads them."""
+
+    def __init__(self, out: io.BytesIO, place_of: Callable[[bytes, Any], Any]) -> None:
+        super().__init__(out)
+        self._place_of = place_of
+        self.found: dict[bytes, tuple[int, Any]] = {}
+
+    def persistent_id(self, thing: Any) -> int | None:
+        if type(thing) is not np.ndarray or thing.nbytes < LEAST_BYTES or thing.dtype.hasobject:
+            return None
+        form = f"{thing.dtype}{thing.shape}{thing.flags.f_contiguous}".encode()
+        key = hashlib.blake2b(thing.tobytes(order="A") + form, digest_size=16).digest()
+        if key not in self.found:
+            self.found[key] = len(self.found), self._place_of(key, thing)
+        return self.found[key][0]
+
+
+def expected_of(needed: tuple[str, ...]) -> Expected:
+    """Return what a worker must find: this package, and some files and folders."""
     return Expected("dotsim_ros", dotsim_ros.__version__, source_hash("."), os.getcwd(), needed)
+
+
+def _cause(error: Any) -> Exception:
+    return error.cause if isinstance(error.cause, Exception) else error
 
 
 def _deadly(what: str, error: BaseException) -> str:
     return (
-        f"{what} on Ray ({_last_words(error)}); expected all to work to the end; most likely "
-        "memory ran out: start Ray with fewer CPUs on each machine (`ray start --num-cpus`); the "
-        "same command goes on from what is solved"
+        f"{MOST_DEATHS} workers {what} on Ray ({_last_words(error)}); expected all to work to the "
+        "end; most likely memory ran out: start Ray with fewer CPUs on each machine (`ray start "
+        "--num-cpus`); the same command goes on from what is solved"
     )
 
 

@@ -9,9 +9,12 @@ imported before the two have been compared.
 
 from __future__ import annotations
 
+import io
 import os
+import pickle
 import platform
 import traceback
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,8 +53,6 @@ class RayWorker:
 
     def begin(self, data: bytes, *arrays: Any) -> None:
         """Call the packed initializer with its arguments."""
-        from dotsim_ros.io.worker_pool.sharing import unpack
-
         initialize, given = unpack(data, arrays)
         initialize(*given)
         from dotsim_ros.io.cores import keep_single_threaded
@@ -61,14 +62,24 @@ class RayWorker:
 
     def work(self, data: bytes, *arrays: Any) -> tuple[bool, Any]:
         """Do packed work; return whether it could be done, and its answer or its exception."""
-        from dotsim_ros.io.worker_pool.sharing import unpack
-
         try:
             function, given, named = unpack(data, arrays)
             return True, function(*given, **named)
         except Exception as error:
             error.add_note(f"in a worker on Ray:\n{traceback.format_exc()}")
             return False, error
+
+
+def unpack(data: bytes, arrays: Sequence[Any]) -> Any:
+    """Return work that `ArrayShelf.pack` packed.
+
+    Args:
+        data: of it.
+        arrays: that its numbers stand for.
+    """
+    unpickler = pickle.Unpickler(io.BytesIO(data))
+    unpickler.persistent_load = arrays.__getitem__
+    return unpickler.load()
 
 
 def _wrong_package(expected: Expected) -> str:
