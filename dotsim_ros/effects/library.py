@@ -154,7 +154,8 @@ def _check_source(path: Path, content: bytes) -> None:
         tree = ast.parse(importlib.util.decode_source(content), str(path))
     # What a hostile file makes of the parser, too: NUL bytes, and nesting without end.
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        line = f", line {error.lineno}" if getattr(error, "lineno", None) else ""
+        number = getattr(error, "lineno", None)
+        line = "" if number is None else f", line {number}"
         raise ValueError(
             f"{path} is no Python{line}: {one_line(getattr(error, 'msg', error))}; expected a "
             "program in UTF-8 that holds an EFFECT: mend it, or move it out of the folder"

@@ -77,9 +77,18 @@ def unpack(data: bytes, arrays: Sequence[Any]) -> Any:
         data: of it.
         arrays: that its numbers stand for.
     """
-    unpickler = pickle.Unpickler(io.BytesIO(data))
-    unpickler.persistent_load = arrays.__getitem__
-    return unpickler.load()
+    return _Unpickler(io.BytesIO(data), arrays).load()
+
+
+class _Unpickler(pickle.Unpickler):
+    """Reads work whose arrays are numbers."""
+
+    def __init__(self, file: io.BytesIO, arrays: Sequence[Any]) -> None:
+        super().__init__(file)
+        self._arrays = arrays
+
+    def persistent_load(self, number: int) -> Any:
+        return self._arrays[number]
 
 
 def _wrong_package(expected: Expected) -> str:
