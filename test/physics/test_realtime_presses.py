@@ -15,7 +15,7 @@ from dotsim_ros.gel.make import body_of, make_gel, skin_of
 from dotsim_ros.gel.rest_depth import RestDepth
 from dotsim_ros.geometry.indenter import load_indenter, way_m
 from dotsim_ros.io.files import parameter_path
-from dotsim_ros.nodes.indenter_player.parameters import SHIPPED_PRESSES
+from dotsim_ros.nodes.indenter_player.program import SHIPPED_PRESSES
 from dotsim_ros.nodes.tactile_sim.profiles import EXACT, REALTIME, solver_of
 from dotsim_ros.nodes.tactile_sim.pursuit import CommandedPath
 from dotsim_ros.specification import load_sensor

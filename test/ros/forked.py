@@ -10,6 +10,7 @@ The program ends as its own interpreter would: with all exit handlers, and with 
 from __future__ import annotations
 
 import gc
+import io
 import json
 import os
 import runpy
@@ -126,10 +127,13 @@ def _run(program: list[str], folder: str, environment: Mapping[str, str]) -> Non
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)
-    # What the server found out from its own.
+    # What the server found out from its own, or was started with.
     tempfile.tempdir = None
-    for stream in (sys.stdout, sys.stderr):
-        stream.reconfigure(write_through=True)  # type: ignore[union-attr]
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    sys.stdout, sys.stderr = (
+        io.TextIOWrapper(io.FileIO(number, "w", closefd=False), "utf-8", write_through=True)
+        for number in (1, 2)
+    )
     if program[0] == "-m":
         sys.argv = program[1:]
         sys.path.insert(0, folder)

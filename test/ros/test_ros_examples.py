@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from harness import PATIENCE_S, Executable, running
 
+from dotsim_ros.nodes.loop.controller_run import Controller, ControllerLoop
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -52,3 +54,14 @@ def test_the_example_of_a_test_is_one() -> None:
     )
     assert done.returncode == 0, done.stdout
     assert "1 passed, 3 deselected" in done.stdout
+
+
+def test_a_controller_is_tested_in_simulated_time() -> None:
+    node = EXAMPLES.joinpath("my_controller.py")
+    controller = Controller("my_controller", [sys.executable, str(node)])
+    with ControllerLoop(controller, path="line") as loop:
+        run = loop.run(2.0)
+    assert run.path_error_m < 0.5e-3
+    assert 0.1 < run.largest_force_n < 6.0
+    assert run.laps > 0.05
+    assert not run.stops_s

@@ -181,6 +181,9 @@ def test_every_executable_has_its_function() -> None:
         module, function = target.split(":")
         tree = tree_of(ROOT / Path(*module.split(".")).with_suffix(".py"))
         defined = {found.name for found in tree.body if isinstance(found, ast.FunctionDef)}
+        for found in tree.body:
+            if isinstance(found, ast.Assign):
+                defined |= {each.id for each in found.targets if isinstance(each, ast.Name)}
         assert function in defined, name
 
 
@@ -252,45 +255,41 @@ def test_launch_file_uses_only_what_launch_documents(path: Path) -> None:
             assert set(keywords(call)) <= LAUNCH_KEYWORDS[module, name], ast.unparse(call)
 
 
+def own_nodes(path: Path) -> list[ast.Call]:
+    """Return the calls that start a node of this package, also by `start`, which says what nodes of
+    a file have in common."""
+    return [call for name in ("own_node", "start") for call in calls(tree_of(path), name)]
+
+
 @each_launch_file
 def test_launched_nodes_are_executables_of_this_package(path: Path) -> None:
-    nodes = [keywords(call) for call in calls(tree_of(path), "Node")]
-    named = [
-        (ast.literal_eval(node["package"]), ast.literal_eval(node["executable"])) for node in nodes
-    ]
-    own = [executable for package, executable in named if package == "dotsim_ros"]
+    own = {ast.literal_eval(call.args[0]) for call in own_nodes(path)}
     assert own
-    assert set(own) <= set(executables())
-    foreign = {each for each in named if each[0] != "dotsim_ros"}
+    assert own <= set(executables())
+    foreign = {
+        (ast.literal_eval(node["package"]), ast.literal_eval(node["executable"]))
+        for node in map(keywords, calls(tree_of(path), "Node"))
+    }
     assert foreign <= FOREIGN_NODES
     assert {package for package, _ in foreign} <= ros_depends("exec_depend")
 
 
 @each_launch_file
 def test_remapped_topics_are_those_of_the_node(path: Path) -> None:
-    for node in map(keywords, calls(tree_of(path), "Node")):
-        if ast.literal_eval(node["package"]) != "dotsim_ros":
-            continue
-        rules = node.get("remappings", ast.List(elts=[]))
+    for call in own_nodes(path):
+        rules = keywords(call).get("remappings", ast.List(elts=[]))
         assert isinstance(rules, ast.List)
         for rule in rules.elts:
             assert isinstance(rule, ast.Tuple)
             # Of several nodes in one process a rule names one.
             which, _, topic = ast.literal_eval(rule.elts[0]).rpartition(":")
-            assert topic in passed_names(which or ast.literal_eval(node["executable"])), topic
+            assert topic in passed_names(which or ast.literal_eval(call.args[0])), topic
 
 
 @each_launch_file
 def test_launched_parameter_files_are_shipped(path: Path) -> None:
-    tree = tree_of(path)
     names = {
-        found.right.value
-        for found in ast.walk(tree)
-        if isinstance(found, ast.BinOp)
-        and isinstance(found.op, ast.Div)
-        and isinstance(found.left, ast.Name)
-        and found.left.id == "params"
-        and isinstance(found.right, ast.Constant)
+        ast.literal_eval(call.args[0]) for call in calls(tree_of(path), "parameter_file_argument")
     }
     assert names
     share = installed_files()["share/dotsim_ros/params"]
