@@ -41,7 +41,7 @@ Row = tuple[str, str]
 
 def cell(text: str) -> str:
     """Return a text as the cell of a table."""
-    return text.replace("|", "\\|").replace("<", "&lt;")
+    return text.replace("|", "\\|").replace("<", "&lt;").replace("[", "\\[")
 
 
 def rows_of(answers: list[dict[str, str]]) -> dict[str, set[Row]]:
