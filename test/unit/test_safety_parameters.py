@@ -31,11 +31,11 @@ NAMES = ("joint1", "joint2", "joint3")
 BAD: list[tuple[type[Any], dict[str, Any], str]] = [
     (TactilePolicyParameters, {"command_rate_hz": 50.0}, "expected 25 or 100"),
     (TactilePolicyParameters, {"command_frame": "world"}, "expected one of link_tcp, link_base"),
-    (TactilePolicyParameters, {"workspace_m": (0.1, 0.1)}, "workspace_m needs 3 numbers"),
+    (TactilePolicyParameters, {"workspace_m": (0.1, 0.1)}, "expected 3 numbers"),
     (TactilePolicyParameters, {"workspace_m": (0.1, 0.1, 0.0)}, "workspace_m"),
     (TactilePolicyParameters, {"maximum_linear_m_s2": 1.0}, "brakes for"),
     (TactilePolicyParameters, {"maximum_linear_m_s": float("nan")}, "maximum_linear_m_s"),
-    (XarmSimParameters, {"start_pose": (0.0, 0.0)}, "start_pose needs 7 numbers"),
+    (XarmSimParameters, {"start_pose": (0.0, 0.0)}, "expected 7 numbers"),
     (XarmSimParameters, {"tool_from_sensor": (0.0,) * 7}, "quaternion_xyzw has length 0"),
     (XarmSimParameters, {"indenter_pose": (np.nan,) + (0.0,) * 6}, "indenter_pose"),
     (XarmSimParameters, {"tool_frame": "link_base"}, "must differ"),
