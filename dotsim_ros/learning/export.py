@@ -14,7 +14,7 @@ import io
 import json
 import struct
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -55,13 +55,24 @@ def graph_of(network: nn.Module, size: tuple[int, int], fineness: int) -> onnx.M
     frame = torch.zeros(1, FRAME.stop, height, width)
     rest = torch.zeros(1, FADE.stop, height, width)
     image = torch.zeros(1, 3, fineness * height, fineness * width)
+    return exported(network, (frame, rest, image), INPUTS, OUTPUT)
+
+
+def exported(
+    network: nn.Module, inputs: tuple[torch.Tensor, ...], input_names: Sequence[str], output: str
+) -> onnx.ModelProto:
+    """Return a network in evaluation mode as an ONNX model for inputs of these shapes.
+
+    Raises:
+        RuntimeError: torch exports nothing.
+    """
     with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
             network,
-            (frame, rest, image),
-            input_names=list(INPUTS),
-            output_names=[OUTPUT],
+            inputs,
+            input_names=list(input_names),
+            output_names=[output],
             opset_version=OPSET,
             dynamo=True,
             verbose=False,

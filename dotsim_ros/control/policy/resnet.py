@@ -13,9 +13,6 @@ when it opens the graph: it is as fast as single precision and half as large.
 from __future__ import annotations
 
 import copy
-import io
-import warnings
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +33,9 @@ from dotsim_ros.control.policy.network import (
     PolicyCard,
 )
 from dotsim_ros.io.arrays import Float32Array
-from dotsim_ros.learning.export import without_origins, write_carded
+from dotsim_ros.learning.export import exported, write_carded
 
 OUTPUT = "commands"
-OPSET = 20
 LEAST_SIZE = 64
 """Arrays with fewer numbers stay in the graph, in single precision."""
 LINEAR_UNIT_M_S = 0.005
@@ -103,20 +99,7 @@ def _fuse(module: nn.Module, number: int) -> None:
 def graph_of(network: nn.Module, side_px: int) -> onnx.ModelProto:
     """Return a network in evaluation mode as an ONNX model for one crop."""
     crop = torch.zeros(1, CHANNEL_COUNT, side_px, side_px)
-    with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
-        warnings.simplefilter("ignore")
-        program = torch.onnx.export(
-            network,
-            (crop,),
-            input_names=[INPUT],
-            output_names=[OUTPUT],
-            opset_version=OPSET,
-            dynamo=True,
-            verbose=False,
-        )
-    if program is None:
-        raise RuntimeError("torch.onnx.export returned no program")
-    return without_origins(program.model_proto)
+    return exported(network, (crop,), [INPUT], OUTPUT)
 
 
 def halve_weights(model: onnx.ModelProto) -> dict[str, NDArray[Any]]:
