@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -75,9 +76,15 @@ class Gradient:
             step = 1.0e-3 * (abs(value) or 1.0)
             if name == "poisson_ratio":
                 step = 1.0e-3 * (0.5 - value)
-            slope = np.zeros(5)
-            for shift, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
-                changed = dataclasses.replace(law, **{name: value + shift * step})
-                slope += weight * changed.coefficients_pa()
-            result[name] = float(self.coefficients @ slope) / (12.0 * step)
+            result[name] = self.along(
+                lambda moved, name=name: dataclasses.replace(law, **{name: moved}), value, step
+            )
         return result
+
+    def along(self, law_at: Callable[[float], ElasticLaw], value: float, step: float) -> float:
+        """Return the derivative by what a law is made from, at a value, by a five-point
+        difference."""
+        slope = np.zeros(5)
+        for shift, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
+            slope += weight * law_at(value + shift * step).coefficients_pa()
+        return float(self.coefficients @ slope) / (12.0 * step)
