@@ -72,13 +72,12 @@ class Markers:
 @dataclass
 class Contact:
     """Forces f (B, K, 3) on the markers, their positions (B, K, 3), their distances (B, K) from the
-    indenter, elastic slip (B, K, 3) in its frame, and how far the last step moved them (B,)."""
+    indenter, and elastic slip (B, K, 3) in its frame."""
 
     force_n: torch.Tensor
     position_m: torch.Tensor
     distance_m: torch.Tensor
     slip_m: torch.Tensor
-    step_m: torch.Tensor
 
 
 def vectors(tensor: torch.Tensor) -> Any:
@@ -131,14 +130,14 @@ def solve_contact(
         moved, force = moved + share * step, force + share * change
         if problem.may_stop and bool((largest * share[:, 0, 0] < tolerance_m).all()):
             break
-    return Contact(force, base_m + moved, problem.distance_m, problem.slip_m, largest)
+    return Contact(force, base_m + moved, problem.distance_m, problem.slip_m)
 
 
 class _Problem:
     """The linear gels with the indenters' answers at the markers' present positions."""
 
     def __init__(self, markers: Markers, compliance: torch.Tensor, base_m: torch.Tensor) -> None:
-        self._markers, self._compliance, self._base_m = markers, compliance, base_m
+        self._compliance, self._base_m = compliance, base_m
         count, k, _ = base_m.shape
         # To read a value costs a synchronisation elsewhere.
         self.may_stop = base_m.device.type == "cpu"

@@ -16,7 +16,7 @@ multiplied by it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,10 +27,10 @@ from dotsim_ros.gel.batched.contact import Contact, Markers, matrices, solve_con
 from dotsim_ros.gel.batched.elastic import ElasticForces
 from dotsim_ros.gel.batched.mixing import Mixing
 from dotsim_ros.gel.batched.rest_compliance import RestCompliance
-from dotsim_ros.gel.batched.skin import ROUNDING, Skin, stencils_of
+from dotsim_ros.gel.batched.skin import Skin, rounded_up, stencils_of
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.distance_field import indenter_field
-from dotsim_ros.gel.implicit.contact import ONSET_M, REFERENCE_SPACING_M, SMOOTHING_M
+from dotsim_ros.gel.implicit.contact import ONSET_M, contact_law
 from dotsim_ros.gel.implicit.refinement import refine
 from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
 from dotsim_ros.gel.make import body_of, law_of, skin_of
@@ -145,20 +145,19 @@ class BatchedGel:
         self._spacing_m = d.spacing_m
         self._elastic = ElasticForces(d, law, count, device)
         compliance = kept_compliance(body, mesh.rest_position_m, d, law)
-        self._rest = RestCompliance(d, compliance, is_mirrored=True, device=device)
+        self._rest = RestCompliance(d, compliance, device)
         fine = None
         if s.solver.refined:
             table = refine(body, mesh.rest_position_m, d, lambda: compliance, law)
             fine = stencils_of(table.skin_weight, device), table
         self._rest_m = torch.as_tensor(mesh.rest_position_m, dtype=torch.float32, device=device)
+        self._all_at_rest_m = self._rest_m.expand(count, -1, 3).contiguous()
         weights = d.skin_interpolation.matrix(d.node_count)
         self._skin = Skin(self._rest_m, stencils_of(weights, device), self._rest.matrix, fine)
         self._area_m2 = torch.as_tensor(mesh.rest_area_m2, dtype=torch.float32, device=device)
         self._on_base = torch.as_tensor(mesh.on_base, device=device)
-        self._node_count, self.rest_position_m = (
-            d.node_count,
-            mesh.rest_position_m.astype(np.float32),
-        )
+        self._node_count = d.node_count
+        self.rest_position_m = mesh.rest_position_m.astype(np.float32)
         self._youngs_pa, _ = small_strain_moduli_pa(law)
         self._contact_specification = s.contact
         factor = _each(modulus_factor, 1.0, count, "modulus_factor")
@@ -181,15 +180,14 @@ class BatchedGel:
         # The device's copy points to the arrays of these.
         self._known_fields = known
         self._field: Any = wp.array(fields, dtype=kernels.IndenterField, device=self.device)
-        laws = []
-        for friction in self._friction.tolist():
-            law = kernels.ContactLaw()
-            law.stiffness = (
-                self._contact_specification.stiffness * self._youngs_pa / REFERENCE_SPACING_M
+        laws = [
+            contact_law(
+                kernels.ContactLaw,
+                replace(self._contact_specification, friction_coefficient=friction),
+                self._youngs_pa,
             )
-            law.tangential_stiffness = self._contact_specification.tangential_ratio * law.stiffness
-            law.friction, law.onset, law.smoothing = friction, ONSET_M, SMOOTHING_M
-            laws.append(law)
+            for friction in self._friction.tolist()
+        ]
         self._contact_law: Any = wp.array(laws, dtype=kernels.ContactLaw, device=self.device)
         self.reset()
 
@@ -202,7 +200,7 @@ class BatchedGel:
 
         self._u_m, self._u_change_m = zeros(n, 3, b), zeros(n, 3, b)
         self._marker_force_n, self._slip_m = zeros(b, v, 3), zeros(b, v, 3)
-        self._skin_m = self._rest_m.expand(b, v, 3).contiguous()
+        self._skin_m = self._all_at_rest_m.clone()
         self._skin_change_m = zeros(b, v, 3)
         self._local_m, self._local_change_m = zeros(b, v, 3), zeros(b, v, 3)
         self._gap_m = torch.full((b, v), torch.inf, device=self.device)
@@ -260,10 +258,10 @@ class BatchedGel:
         share = torch.zeros(self.count, device=self.device)
         if self._on_host and bool(self._is_touching.all()):
             return share
-        rest = self._rest_m.expand(self.count, -1, 3).contiguous()
         way = (end_m - start_m).norm(dim=1).clamp(min=1e-12)
         for _ in range(ADVANCES):
-            gap, _ = self._distance(rest, start_m + share[:, None] * (end_m - start_m), rotation)
+            origin = start_m + share[:, None] * (end_m - start_m)
+            gap = self._skin_distance(self._all_at_rest_m, origin, rotation)
             clear = (gap.amin(dim=1) - ONSET_M).clamp(min=0.0)
             share = (share + clear / way).clamp(max=1.0)
         return torch.where(self._is_touching, 0.0, share)
@@ -277,7 +275,7 @@ class BatchedGel:
         self, position_m: torch.Tensor, origin_m: torch.Tensor, rotation: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the signed distances (B, n) of points (B, n, 3) from the indenters and their
-        gradients (B, n, 3); the skin on the base is infinitely far."""
+        gradients (B, n, 3)."""
         distance = torch.empty(position_m.shape[:2], device=self.device)
         normal = torch.empty_like(position_m)
         wp.launch(
@@ -293,16 +291,20 @@ class BatchedGel:
             ],
             device=self.device,
         )
-        if distance.shape[1] == len(self._on_base):
-            distance = torch.where(self._on_base, torch.inf, distance)
         return distance, normal
+
+    def _skin_distance(
+        self, skin_m: torch.Tensor, origin_m: torch.Tensor, rotation: torch.Tensor
+    ) -> torch.Tensor:
+        """Return the signed distances (B, V) of the skin (B, V, 3); infinite on the base."""
+        distance, _ = self._distance(skin_m, origin_m, rotation)
+        return torch.where(self._on_base, torch.inf, distance)
 
     def _substep(
         self, origin_m: torch.Tensor, rotation: torch.Tensor, is_moving: torch.Tensor
     ) -> None:
         """Advance the gels that move to new poses (B, 3), (B, 3, 3) of their indenters."""
-        rest = self._rest_m.expand(self.count, -1, 3).contiguous()
-        at_rest, _ = self._distance(rest, origin_m, rotation)
+        at_rest = self._skin_distance(self._all_at_rest_m, origin_m, rotation)
         touches = at_rest.amin(dim=1) < ONSET_M
         begins = touches & ~self._is_touching
         fresh = begins[:, None, None]
@@ -323,7 +325,7 @@ class BatchedGel:
             force = torch.where(touches[:, None, None], contact.force_n, 0.0)
             u = torch.where(touches, u, 0.0)
             skin = self._skin.positions(u, markers.index, force)
-            gap, _ = self._distance(skin, origin_m, rotation)
+            gap = self._skin_distance(skin, origin_m, rotation)
             others = gap.scatter(1, markers.index, torch.inf).amin(dim=1)
             missed = touches & is_moving & (others < -MISSED_M)
             if not self._on_host or not bool(missed.any()):
@@ -348,12 +350,11 @@ class BatchedGel:
         """Return the markers that are expected nearest to the indenters, the nearest first, and how
         many of them the gels of each chunk need: on a CPU all that are nearer than (B,)."""
         expected = self._skin_m + share[:, None, None] * self._skin_change_m
-        distance, _ = self._distance(expected, origin_m, rotation)
+        distance = self._skin_distance(expected, origin_m, rotation)
         counts = [min(self.effort.markers, distance.shape[1])] * len(self._chunks)
         if self._on_host:
             near = (distance < near_m[:, None]).sum(dim=1)
-            most = [max(int(near[gels].max()), 1) for gels in self._chunks]
-            counts = [min(-(-m // ROUNDING) * ROUNDING, distance.shape[1]) for m in most]
+            counts = [rounded_up(int(near[gels].max()), distance.shape[1]) for gels in self._chunks]
         count = max(counts)
         index = torch.topk(distance, count, dim=1, largest=False).indices
         three = index[:, :, None].expand(-1, -1, 3)
@@ -437,7 +438,6 @@ class BatchedGel:
             guess_m.clone(),
             torch.full(base_m.shape[:2], torch.inf, device=self.device),
             torch.zeros_like(base_m),
-            base_m.new_zeros(self.count),
         )
         for gels, markers, compliance in chunks:
             count = markers.index.shape[1]
@@ -450,9 +450,8 @@ class BatchedGel:
                 newton_steps=newton_steps,
                 tolerance_m=0.5 * self.effort.tolerance_m,
             )
-            for name in ("force_n", "position_m", "distance_m", "slip_m"):
+            for name in Contact.__dataclass_fields__:
                 getattr(whole, name)[gels, :count] = getattr(part, name)
-            whole.step_m[gels] = part.step_m
         return whole
 
     def _finish(

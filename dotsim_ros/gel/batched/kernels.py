@@ -102,18 +102,17 @@ def coulomb(
         projector = wp.identity(3, dtype=wp.float32) - wp.outer(unit, unit)
         moved = start_slip[b, m] + y - start_position[b, m]
         s = projector * moved
-        by_position = projector
         length = wp.length(s)
         limit = c.friction * p / k
         if length <= limit:
             f -= k * s
-            h += k * by_position
+            h += k * projector
             elastic_slip = s
         elif length > 1.0e-12:
             direction = s / length
             f -= (k * limit) * direction
             turning = wp.identity(3, dtype=wp.float32) - wp.outer(direction, direction)
-            h += (k * limit / length) * (turning * by_position)
+            h += (k * limit / length) * (turning * projector)
             h -= (c.friction * slope) * wp.outer(direction, n)
             elastic_slip = limit * direction
     a = area[b, m]

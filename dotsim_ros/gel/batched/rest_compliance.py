@@ -26,8 +26,7 @@ class RestCompliance:
 
     Args:
         discretization: the grid, whose nodes are mirror images of each other.
-        compliance: G.
-        is_mirrored: whether G has these symmetries; a bond that is lost on one side has none.
+        compliance: G of a gel that is its own mirror image; one that is loose on one side is not.
         device: torch's name of the device.
 
     Attributes:
@@ -35,27 +34,18 @@ class RestCompliance:
     """
 
     def __init__(
-        self,
-        discretization: Discretization,
-        compliance: Float32Array,
-        *,
-        is_mirrored: bool,
-        device: str,
+        self, discretization: Discretization, compliance: Float32Array, device: str
     ) -> None:
         self.matrix = torch.as_tensor(compliance, device=device)
-        self._blocks: torch.Tensor | None = None
-        if is_mirrored:
-            self._orbits = torch.as_tensor(mirror_orbits(discretization.node_cell), device=device)
-            # [component, parity, image]
-            signs = PARITIES[None] * MIRRORS.T[:, None]
-            self._signs = torch.as_tensor(signs, dtype=torch.float32, device=device)
-            half = self._split(self.matrix.view(discretization.node_count, 3, -1))
-            self._blocks = torch.stack(
-                [
-                    self._split(half[k].T.reshape(discretization.node_count, 3, -1))[k].T
-                    for k in range(4)
-                ]
-            ).contiguous()
+        node_count = discretization.node_count
+        self._orbits = torch.as_tensor(mirror_orbits(discretization.node_cell), device=device)
+        # [component, parity, image]
+        signs = PARITIES[None] * MIRRORS.T[:, None]
+        self._signs = torch.as_tensor(signs, dtype=torch.float32, device=device)
+        half = self._split(self.matrix.view(node_count, 3, -1))
+        self._blocks = torch.stack(
+            [self._split(half[k].T.reshape(node_count, 3, -1))[k].T for k in range(4)]
+        ).contiguous()
 
     def _split(self, vectors: torch.Tensor) -> torch.Tensor:
         """Return the parts (4, 3 N / 4, B) of nodal vectors (N, 3, B), a parity each."""
@@ -64,8 +54,6 @@ class RestCompliance:
 
     def apply(self, force: torch.Tensor) -> torch.Tensor:
         """Return the displacements (N, 3, B) at rest under nodal forces (N, 3, B)."""
-        if self._blocks is None:
-            return (self.matrix @ force.reshape(len(self.matrix), -1)).view(force.shape)
         moved = torch.bmm(self._blocks, self._split(force)).view(4, -1, 3, force.shape[2])
         result = torch.empty_like(force)
         images = torch.einsum("cke,kocb->oecb", self._signs, moved)

@@ -25,6 +25,11 @@ _COMPONENTS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
 _UPPER = [3 * i + j for i, j in _COMPONENTS]
 
 
+def rounded_up(most: int, limit: int) -> int:
+    """Return a count that is at least `most`, a multiple of `ROUNDING`, and at most a limit."""
+    return min(-(-max(most, 1) // ROUNDING) * ROUNDING, limit)
+
+
 @dataclass(frozen=True)
 class Stencils:
     """The nodes (V, 27) that each marker of the skin moves with, their weights (V, 27), the same as
@@ -180,8 +185,7 @@ def _around(
     weight = stencils.weight[index]
     used = torch.zeros(b, stencils.node_count, device=index.device)
     used.scatter_add_(1, flat, weight.abs().view(b, -1))
-    most = int((used > 0.0).sum(dim=1).max())
-    count = min(stencils.node_count, -(-max(most, 1) // ROUNDING) * ROUNDING)
+    count = rounded_up(int((used > 0.0).sum(dim=1).max()), stencils.node_count)
     node = torch.topk(used, count, dim=1).indices
     number = torch.full((b, stencils.node_count), -1, dtype=torch.int32, device=index.device)
     every = torch.arange(count, dtype=torch.int32, device=index.device)

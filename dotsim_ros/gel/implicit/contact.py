@@ -98,6 +98,18 @@ def fresh_history(rest_position_m: FloatArray, pose: Pose) -> ContactHistory:
     return ContactHistory(local, np.zeros_like(local), np.zeros(count), np.full(count, np.inf))
 
 
+def contact_law(kind: Any, specification: ContactSpecification, youngs_modulus_pa: float) -> Any:
+    """Return what kernels know of the contact, as one of their structs `ContactLaw`; its
+    stiffnesses are scaled to E."""
+    law = kind()
+    law.stiffness = specification.stiffness * youngs_modulus_pa / REFERENCE_SPACING_M
+    law.tangential_stiffness = specification.tangential_ratio * law.stiffness
+    law.friction = specification.friction_coefficient
+    law.onset = ONSET_M
+    law.smoothing = SMOOTHING_M
+    return law
+
+
 class Contact:
     """The contact law with one indenter, for a skin of V markers.
 
@@ -125,13 +137,7 @@ class Contact:
         self.kernels = contact_kernels(wp.float64)
         self.field: Any = indenter_field(indenter, scalar=wp.float64, device=device)
         self.area: Any = wp.array(area_m2, dtype=wp.float64, device=device)
-        law = self.kernels.ContactLaw()
-        law.stiffness = specification.stiffness * youngs_modulus_pa / REFERENCE_SPACING_M
-        law.tangential_stiffness = specification.tangential_ratio * law.stiffness
-        law.friction = specification.friction_coefficient
-        law.onset = ONSET_M
-        law.smoothing = SMOOTHING_M
-        self.law = law
+        self.law = law = contact_law(self.kernels.ContactLaw, specification, youngs_modulus_pa)
         self.least_compliance_m_n = 1.0 / (law.stiffness * float(area_m2.max()))
         self._history: ContactHistory | None = None
         self._pose: Pose | None = None
