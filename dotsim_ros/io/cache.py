@@ -9,9 +9,11 @@ answer of older code, or of a file that has changed under the same name, is neve
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import logging
+import os
 from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
@@ -27,6 +29,8 @@ from dotsim_ros.io.provenance import source_hash
 _log = logging.getLogger(__name__)
 
 KEY_LENGTH = 24
+TABLES_LIMIT_BYTES = 4_000_000_000
+"""What the tables of a folder may take together, some forty sensors."""
 GEL = ("geometry", "gel", "specification.py")
 """Source that decides what a gel answers."""
 PHYSICS = (*GEL, "effects", "sensor.py", "twin")
@@ -82,17 +86,23 @@ def _add(digest: hashlib._Hash, value: Any) -> None:
 def load_arrays(path: Path, forms: Mapping[str, ArrayForm] | None = None) -> Arrays | None:
     """Return the arrays of a kept answer; None where there is none, or none that can be read.
 
+    The time at which the file was changed becomes now: `keep_table` drops what was not read for the
+    longest time.
+
     Args:
         path: of the answer.
         forms: the arrays that it must hold, and what they must be; None for any.
     """
     try:
-        return read_arrays(path, forms)
+        arrays = read_arrays(path, forms)
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
         tell_broken(path, error)
         return None
+    with contextlib.suppress(OSError):  # a folder that can only be read
+        os.utime(path)
+    return arrays
 
 
 def tell_broken(path: Path, reason: object) -> None:
@@ -112,3 +122,26 @@ def keep_arrays(path: Path, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
         store_arrays(path, arrays)
     except OSError as error:
         _log.warning("an answer is not kept, and will be computed again: %s", one_line(error))
+
+
+def keep_table(
+    path: Path,
+    arrays: Mapping[str, np.ndarray[Any, Any]],
+    *,
+    limit_bytes: int = TABLES_LIMIT_BYTES,
+) -> None:
+    """Keep a table as `keep_arrays`, and remove those of its folder that were not read for the
+    longest time until all take at most the limit. The new one stays."""
+    keep_arrays(path, arrays)
+    others = []
+    for other in path.parent.glob("*.npz"):
+        # Another process may remove it first.
+        with contextlib.suppress(OSError):
+            status = other.stat()
+            others.append((other != path, status.st_mtime, status.st_size, other))
+    taken = 0
+    for _, _, size, other in sorted(others, key=lambda one: (one[0], -one[1])):
+        taken += size
+        if taken > limit_bytes and other != path:
+            with contextlib.suppress(OSError):
+                other.unlink()

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dotsim_ros.io.cache import keep_arrays, load_arrays
+from dotsim_ros.io.cache import keep_arrays, keep_table, load_arrays
 from dotsim_ros.io.files import cache_directory, usable_folder
 
 KEPT = """
@@ -97,3 +97,18 @@ def test_an_answer_that_cannot_be_kept_ends_nothing(
     keep_arrays(path, {"answer": np.ones(3)})
     assert "is not kept, and will be computed again" in caplog.text
     assert load_arrays(path) is None
+
+
+def test_tables_that_were_not_read_for_the_longest_time_go_first(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{name}.npz" for name in "abcd"]
+    table = {"answer": np.ones(1000)}
+    for age, path in enumerate(paths[:3]):
+        keep_table(path, table)
+        os.utime(path, (1000.0 + age, 1000.0 + age))
+    assert load_arrays(paths[0]) is not None
+    size = paths[0].stat().st_size
+    keep_table(paths[3], table, limit_bytes=2 * size)
+    assert [path.exists() for path in paths] == [True, False, False, True]
+    # One that takes more than the limit is kept all the same: it would be computed each time.
+    keep_table(paths[1], table, limit_bytes=size // 2)
+    assert [path.exists() for path in paths] == [False, True, False, False]

@@ -26,7 +26,7 @@ from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.refinement_kernels import add_columns, gather_between
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
 from dotsim_ros.io.arrays import Float32Array, FloatArray, IndexArray
-from dotsim_ros.io.cache import GEL, content_key, keep_arrays, load_arrays, tell_broken
+from dotsim_ros.io.cache import GEL, content_key, keep_table, load_arrays, tell_broken
 from dotsim_ros.io.documents import ArrayForm
 from dotsim_ros.io.files import cache_directory
 from dotsim_ros.io.warp_runtime import wp
@@ -285,7 +285,7 @@ def _load(path: Path) -> Refinement | None:
 
 
 def _store(path: Path, table: Refinement) -> None:
-    keep_arrays(
+    keep_table(
         path,
         {
             "indptr": table.indptr,

@@ -17,7 +17,7 @@ from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.implicit.tangent import inverse_at_rest
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
 from dotsim_ros.io.arrays import Float32Array, FloatArray
-from dotsim_ros.io.cache import GEL, content_key, keep_arrays, load_arrays
+from dotsim_ros.io.cache import GEL, content_key, keep_table, load_arrays
 from dotsim_ros.io.documents import ArrayForm
 from dotsim_ros.io.files import cache_directory
 
@@ -44,5 +44,5 @@ def kept_compliance(
         # At 1 Pa, so that its last digits do not depend on which modulus asked for it first.
         unit = ElasticBody(grid, NeoHookean(1.0, 0.5 - youngs / (6.0 * bulk)), dtype=np.float32)
         stored = {"compliance": inverse_at_rest(unit)}
-        keep_arrays(path, stored)
+        keep_table(path, stored)
     return np.asarray(stored["compliance"] / np.float32(youngs), dtype=np.float32)
