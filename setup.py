@@ -144,7 +144,6 @@ setup(
     },
     data_files=shared_files(),
     install_requires=[
-        "POT>=0.9",
         # the options of commands and studies, from the functions that they call
         "cyclopts>=5",
         "imageio-ffmpeg>=0.4.9",

@@ -69,7 +69,6 @@ NAMES_ELSEWHERE = {
     "cv2": "opencv-python-headless",
     "drjit": "mitsuba",
     "imageio_ffmpeg": "imageio-ffmpeg",
-    "ot": "POT",
     "pinocchio": "pin",
     "warp": "warp-lang",
     "yaml": "PyYAML",
@@ -77,7 +76,6 @@ NAMES_ELSEWHERE = {
 """The distribution on PyPI of a module with another name."""
 
 ROS_KEYS = {
-    "POT": "pot",
     "PyYAML": "yaml",
     "opencv-python-headless": "opencv",
     "backports.zstd": "backports-zstd",
