@@ -15,12 +15,14 @@ VENV_OPTIONS :=
 DEMO_EXTRAS := ros,live
 endif
 
-# The demos need a quarter of what tests, training and the documentation need: no torch above all.
+# The demos need a fifth of what tests, training and the documentation need: no torch above all.
+# Each of the three holds what the next one needs.
 INSTALLED := $(VENV)/.installed-$(ROS_DISTRO)
+INSTALLED_LOOP := $(VENV)/.installed-demo-loop-$(ROS_DISTRO)
 INSTALLED_DEMO := $(VENV)/.installed-demo-$(ROS_DISTRO)
 # ROS from wheels beside a sourced ROS would load the libraries of both into one process: a $(VENV)
 # made for the other one, or left half-made, is made again.
-CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED) $(INSTALLED_DEMO)),,--clear))
+CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(VENV)/.installed*-$(ROS_DISTRO)),,--clear))
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
@@ -31,7 +33,7 @@ TOGETHER := -n 3 --dist loadfile --no-loadscope-reorder
 FAULTS ?= $(OUT)/faults.json
 SECONDS ?= 60
 
-.PHONY: help setup setup-demo live demo demo-loop test faults fuzz lint docs canary results clean
+.PHONY: help setup setup-demo setup-loop live demo demo-loop test faults fuzz lint docs canary results clean
 
 help:
 	@echo "make setup   everything into $(VENV); the demos install what they need alone"
@@ -48,11 +50,14 @@ help:
 
 setup: $(INSTALLED)
 
-setup-demo: $(or $(wildcard $(INSTALLED)),$(INSTALLED_DEMO))
+setup-loop: $(or $(wildcard $(INSTALLED)),$(INSTALLED_LOOP))
+
+setup-demo: $(or $(wildcard $(INSTALLED)),$(wildcard $(INSTALLED_LOOP)),$(INSTALLED_DEMO))
 
 $(INSTALLED): EXTRAS := $(DEMO_EXTRAS),learning,test,dev,docs
+$(INSTALLED_LOOP): EXTRAS := $(DEMO_EXTRAS),arm
 $(INSTALLED_DEMO): EXTRAS := $(DEMO_EXTRAS)
-$(INSTALLED) $(INSTALLED_DEMO): setup.py
+$(INSTALLED) $(INSTALLED_LOOP) $(INSTALLED_DEMO): setup.py
 	@case "$(ROS_DISTRO)" in ''|jazzy) ;; *) echo "dotsim_ros needs ROS 2 Jazzy, $(ROS_DISTRO) is sourced: use a shell without it" >&2; exit 1;; esac
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; v in ((3, 11), (3, 12)) or sys.exit("dotsim_ros needs Python 3.11 or 3.12, this is %d.%d: make PYTHON=python3.12" % v)'
 	$(PYTHON) -m venv $(VENV_OPTIONS) $(CLEAR) $(VENV)
@@ -66,7 +71,7 @@ live: setup-demo
 demo: setup-demo
 	$(RUN) dotsim_ros demo --out $(OUT)/demo
 
-demo-loop: setup-demo
+demo-loop: setup-loop
 	$(RUN) dotsim_ros demo-loop --out $(OUT)/demo-loop
 
 # Each part runs, whatever those before it found.

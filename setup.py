@@ -71,6 +71,10 @@ REINFORCEMENT = [
 RENDERING = [
     "mitsuba>=3.8",
 ]
+# kinematics of the simulated arm
+ARM = [
+    "pin>=3.0",
+]
 # the page of `dotsim_ros live`
 LIVE = [
     "websockets>=13",
@@ -156,7 +160,6 @@ setup(
         "onnxruntime>=1.20",
         "opencv-python-headless>=4.6",
         "pillow>=9.4",
-        "pin>=3.0",
         "PyYAML>=6.0",
         # chunks of mcap files
         "backports.zstd>=1.0",
@@ -169,6 +172,7 @@ setup(
     ],
     extras_require={
         "ros": ROS,
+        "arm": ARM,
         "environments": [*ENVIRONMENTS, *MUJOCO],
         "mujoco": MUJOCO,
         "reinforcement": [*ENVIRONMENTS, *MUJOCO, *REINFORCEMENT],
@@ -176,7 +180,16 @@ setup(
         "live": LIVE,
         "rendering": RENDERING,
         "scale": SCALE,
-        "test": [*TEST, *RENDERING, *ENVIRONMENTS, *MUJOCO, *REINFORCEMENT, *LIVE, *SCALE],
+        "test": [
+            *TEST,
+            *RENDERING,
+            *ENVIRONMENTS,
+            *MUJOCO,
+            *REINFORCEMENT,
+            *ARM,
+            *LIVE,
+            *SCALE,
+        ],
         "dev": DEVELOPMENT,
         "docs": DOCUMENTATION,
     },

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`make live` and `make demo-loop`: what they run, to its end."""
+"""`make live` and `make demo-loop`: what they install, and what they run, to its end."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ def made(target: str, out: Path, *arguments: str) -> Executable:
         "--no-print-directory",
         "--dry-run",
         "--assume-old=setup-demo",
+        "--assume-old=setup-loop",
         target,
         *variables,
     ]
@@ -36,6 +37,28 @@ def made(target: str, out: Path, *arguments: str) -> Executable:
     assert recipe.count("\n") == 1, recipe
     command = f"exec env {recipe.strip()} {' '.join(arguments)}"
     return Executable("", code=f"import os; os.execvp('sh', ['sh', '-c', {command!r}])")
+
+
+def installed_by(target: str, venv: Path) -> str:
+    """Return the extras that a target would install."""
+    asked = ["make", "--dry-run", target, f"VENV={venv}", "ROS_DISTRO="]
+    commands = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    found = re.search(r'--editable "\.\[(.*)\]"', commands)
+    return found[1] if found else ""
+
+
+def test_a_demonstration_installs_what_it_lacks(tmp_path: Path) -> None:
+    def installed() -> list[str]:
+        return [installed_by(target, tmp_path) for target in ("live", "demo", "demo-loop")]
+
+    demo, loop = "ros,live", "ros,live,arm"
+    assert installed() == [demo, demo, loop]
+    (tmp_path / ".installed-demo-").touch()
+    assert installed() == ["", "", loop]
+    (tmp_path / ".installed-demo-").rename(tmp_path / ".installed-demo-loop-")
+    assert installed() == ["", "", ""]
+    (tmp_path / ".installed-demo-loop-").rename(tmp_path / ".installed-")
+    assert installed() == ["", "", ""]
 
 
 def test_live_serves_its_page_to_this_machine_alone_until_it_is_interrupted(

@@ -28,6 +28,7 @@ from dotsim_ros.nodes.xarm_sim.node import XarmSim
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
 from msg_adapters import message_class
 
+NODES = Path(__file__).parents[2] / "dotsim_ros" / "nodes"
 PARAMETER_FILES = {
     "nothing": b"",
     "no text": b"\xff\xfe\x00garbage",
@@ -137,6 +138,58 @@ def test_a_profile_that_is_not_there_is_refused(
     with pytest.raises(ValueError, match="is no file") as caught:
         check_start([])
     answered(caught.value)
+
+
+WITHOUT_PINOCCHIO = """
+import sys
+sys.modules["pinocchio"] = None
+from dotsim_ros.cli.main import main
+from dotsim_ros.nodes import executables
+print(executables.xarm_sim(), executables.closed_loop(), main(["demo-loop", "--out", "loop"]))
+"""
+
+
+@pytest.mark.fault("node parameters", "`xarm_sim` where Pinocchio is not installed")
+def test_the_arm_is_asked_for_where_it_is_missing(tmp_path: Path, answered: Any) -> None:
+    command = [sys.executable, "-c", WITHOUT_PINOCCHIO]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.stdout.split() == ["2", "2", "1"], done.stderr
+    lines = done.stderr.splitlines()
+    assert len(lines) == 3, done.stderr
+    assert all("pip install 'dotsim_ros[arm]'" in line for line in lines), done.stderr
+    assert not (tmp_path / "loop").exists()
+    answered(lines[0].partition("]: ")[2])
+    answered(lines[2], what="`demo-loop` where Pinocchio is not installed")
+
+
+LOADED_WITHOUT_ARM = """
+import sys
+from importlib import import_module
+
+class Refused:
+    def find_spec(self, name, *_):
+        assert name != "pinocchio", "the arm is loaded"
+
+sys.meta_path.insert(0, Refused())
+for name in sys.argv[1:]:
+    import_module(name)
+import dotsim_ros
+for name in dotsim_ros.__all__:
+    getattr(dotsim_ros, name)
+try:
+    import dotsim_ros.control.arm.kinematics
+except AssertionError:
+    print("only the arm asks for it")
+"""
+
+
+def test_what_needs_no_arm_does_not_ask_for_pinocchio() -> None:
+    names = {path.parent.name for path in NODES.glob("*/node.py")} - {"xarm_sim", "closed_loop"}
+    assert {"tactile_sim", "tactile_policy", "xarm_adapter"} < names
+    modules = [f"dotsim_ros.nodes.{name}.node" for name in sorted(names)]
+    command = [sys.executable, "-c", LOADED_WITHOUT_ARM, *modules]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.stdout == "only the arm asks for it\n", done.stderr
 
 
 @pytest.mark.fault("node parameters", "a file of parameters that holds none")

@@ -214,8 +214,8 @@ def test_every_node_with_a_main_is_an_executable() -> None:
 def test_what_is_imported_is_required() -> None:
     ros = ros_depends("exec_depend")
     foreign = {NAMES_ELSEWHERE.get(name, name) for name in imported_modules() - ros}
-    lists = ("LEARNING", "RENDERING", "ENVIRONMENTS", "MUJOCO", "REINFORCEMENT", "SCALE", "LIVE")
-    extras = set().union(*map(extra, lists))
+    lists = ("ARM", "LEARNING", "RENDERING", "ENVIRONMENTS", "MUJOCO", "REINFORCEMENT", "SCALE")
+    extras = set().union(*map(extra, (*lists, "LIVE")))
     assert foreign - requirements() - extras == set()
 
 
@@ -230,8 +230,8 @@ def test_pip_and_rosdep_know_the_same_requirements() -> None:
         for key in ros_depends("exec_depend")
         if key.startswith("python3-")
     }
-    # The live page is an extra of pip's; a workspace has none.
-    needed = requirements() | extra("LIVE")
+    # The live page and the arm are extras of pip's; a workspace has none.
+    needed = requirements() | extra("LIVE") | extra("ARM")
     assert {ROS_KEYS.get(name, name) for name in needed} == keys
 
 

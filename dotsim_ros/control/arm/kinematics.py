@@ -15,12 +15,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros.control.arm.command import Twist
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
+
+try:
+    import pinocchio
+except ModuleNotFoundError:
+    pinocchio = None
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,15 @@ LARGEST_STEP_RAD = 0.3
 START_COUNT = 40
 
 
+def check_pinocchio() -> None:
+    """Raise ValueError where Pinocchio, which comes with the extra `arm`, is not installed."""
+    if pinocchio is None:
+        raise ValueError(
+            "the simulated arm needs the package pin, which is not installed: "
+            "pip install 'dotsim_ros[arm]'"
+        )
+
+
 @dataclass(frozen=True)
 class JointMotion:
     """Joint rates (7,) that move the tool.
@@ -97,9 +110,13 @@ class ArmKinematics:
 
     Attributes:
         posture_rad: (7,) what the elbow goes back to while the tool moves.
+
+    Raises:
+        ValueError: Pinocchio is not installed.
     """
 
     def __init__(self, *, joint_speed_rad_s: float = 4.0) -> None:
+        check_pinocchio()
         self._model = _model_of(XARM7)
         self._data = self._model.createData()
         self._tool = len(XARM7)

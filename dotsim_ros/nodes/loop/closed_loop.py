@@ -21,6 +21,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
+from dotsim_ros.control.arm.kinematics import check_pinocchio
 from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording, recording_of
 from dotsim_ros.control.policy.paths import DomeContact
 from dotsim_ros.control.safety_layer.limits import SafetyLimits
@@ -62,6 +63,9 @@ class LoopSetup:
         policy: folder of the policy, or a name below params/policies.
         policy_code: Python code to run in place of the policy's module.
         one_process: arm, sensor and policy run in one process; then only `start` starts them.
+
+    Raises:
+        ValueError: what the arm needs is not installed.
     """
 
     policy: str
@@ -72,6 +76,9 @@ class LoopSetup:
     policy_code: str = ""
     stepping: StepperSettings = field(default_factory=StepperSettings)
     one_process: bool = False
+
+    def __post_init__(self) -> None:
+        check_pinocchio()
 
     def limits(self) -> SafetyLimits:
         """Return what the policy's node lets the arm do."""
