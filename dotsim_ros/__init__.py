@@ -23,6 +23,7 @@ from dotsim_ros.io.moved import forward_moved
 __version__ = "0.1.0"
 
 __all__ = [
+    "ArrayFrame",
     "Calibration",
     "DataSet",
     "DataSetWriter",
@@ -33,6 +34,7 @@ __all__ = [
     "Indenter",
     "Pose",
     "SensorSpecification",
+    "TactileArray",
     "TactileSensor",
     "Trajectory",
     "Verdict",
@@ -51,6 +53,7 @@ __all__ = [
 
 _HOMES = {
     "dotsim_ros.sensor": ("Frame", "GelFailureError", "TactileSensor"),
+    "dotsim_ros.tactile_array": ("ArrayFrame", "TactileArray"),
     "dotsim_ros.specification": ("SensorSpecification", "load_sensor", "write_sensor"),
     "dotsim_ros.geometry.pose": ("Pose", "Wrench"),
     "dotsim_ros.geometry.indenter": ("Indenter", "load_indenter"),
@@ -90,6 +93,7 @@ if TYPE_CHECKING:
     from dotsim_ros.geometry.pose import Pose, Wrench
     from dotsim_ros.sensor import Frame, GelFailureError, TactileSensor
     from dotsim_ros.specification import SensorSpecification, load_sensor, write_sensor
+    from dotsim_ros.tactile_array import ArrayFrame, TactileArray
 else:
     # A type checker reads the imports above, so that it refuses names that are none of these.
     def __getattr__(name: str) -> object:

@@ -50,6 +50,10 @@ class PrintedMarkers:
         markers: the grid.
         skin: that it is printed on, from above.
 
+    Attributes:
+        corner, weight: (N, 3) vertices of the triangle that each lies on, and their weights.
+        rest_m: (N, 3) at rest, base frame.
+
     Raises:
         ValueError: a marker lies next to the skin.
     """
@@ -57,13 +61,13 @@ class PrintedMarkers:
     def __init__(self, markers: MarkerSpecification, skin: SkinMesh) -> None:
         places = grid_m(markers)
         corner, weight = zip(*(_found(place, skin) for place in places), strict=True)
-        self._corner: IndexArray = np.stack(corner)
-        self._weight: FloatArray = np.stack(weight)
+        self.corner: IndexArray = np.stack(corner)
+        self.weight: FloatArray = np.stack(weight)
         self.rest_m: FloatArray = self.position_m(skin.rest_position_m)
 
     def position_m(self, skin_position_m: FloatArray) -> FloatArray:
         """Return where the markers (N, 3) of a skin (V, 3) are."""
-        return np.asarray(np.einsum("nc,ncx->nx", self._weight, skin_position_m[self._corner]))
+        return np.asarray(np.einsum("nc,ncx->nx", self.weight, skin_position_m[self.corner]))
 
     def motion(self, skin_position_m: FloatArray, camera: Camera) -> MarkerMotion:
         """Return how the markers of a skin (V, 3) have moved, and how a camera sees it."""

@@ -17,7 +17,13 @@ bands of rows (`bands`), so a kernel writes to the rows that it is given alone.
 # mypy: ignore-errors
 
 from dotsim_ros.io.warp_runtime import wp
-from dotsim_ros.optics.kernels import NO_TRIANGLE, Lens
+from dotsim_ros.optics.kernels import (
+    CRACK_TOLERANCE,
+    NO_TRIANGLE,
+    Lens,
+    inverse_corners,
+    pixels_around,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,7 +31,6 @@ LANES = 8
 """Pixels that the rasteriser tests at once; a band of rows must have as many."""
 
 _NO_TRIANGLE = wp.constant(NO_TRIANGLE)
-_CRACK_TOLERANCE = wp.constant(1.0e-5)
 
 
 def launch_dim(rows: int, _width: int) -> tuple[int, int]:
@@ -128,40 +133,13 @@ def rasterize(
     i0 = triangles[face, 0]
     i1 = triangles[face, 1]
     i2 = triangles[face, 2]
-    p0 = pixel[i0]
-    p1 = pixel[i1]
-    p2 = pixel[i2]
-    left = wp.min(wp.min(p0[0], p1[0]), p2[0])
-    right = wp.max(wp.max(p0[0], p1[0]), p2[0])
-    top = wp.min(wp.min(p0[1], p1[1]), p2[1])
-    bottom = wp.max(wp.max(p0[1], p1[1]), p2[1])
-    # An edge of length s images as a curve of curvature below edge_curvature / focal, which bulges
-    # out of the box of its ends by at most a curvature's eighth of s^2; s^2 is at most 2 extent^2.
-    # Where the focal lengths differ, that holds in angles.
-    extent = wp.max(right - left, bottom - top)
-    least = wp.min(lens.focal_x, lens.focal_y)
-    bulge = wp.max(lens.focal_x, lens.focal_y) / (least * least)
-    margin = 0.25 * lens.edge_curvature * extent * extent * bulge + 0.01
-    x_first = wp.max(int(wp.ceil(left - margin)), 0)
-    x_last = wp.min(int(wp.floor(right + margin)), triangle_seen.shape[1] - 1)
-    y_first = wp.max(int(wp.ceil(top - margin)), row_first)
-    y_last = wp.min(int(wp.floor(bottom + margin)), row_end - 1)
+    x_first, x_last, y_first, y_last = pixels_around(
+        pixel[i0], pixel[i1], pixel[i2], lens, triangle_seen.shape[1], row_first, row_end
+    )
     if x_first > x_last or y_first > y_last:
         return
 
-    a = position[i0]
-    b = position[i1]
-    c = position[i2]
-    # Differences first: cross products of nearly equal vectors would lose the digits of depth.
-    ab = b - a
-    face_normal = wp.cross(ab, c - a)
-    plane = wp.dot(a, face_normal)
-    if plane == 0.0:
-        return
-    inverse = 1.0 / plane
-    normal_b = wp.cross(c, a - c) * inverse
-    normal_c = wp.cross(a, ab) * inverse
-    normal_all = face_normal * inverse
+    normal_all, normal_b, normal_c = inverse_corners(position[i0], position[i1], position[i2])
     nearest_in_box(
         face,
         x_first,
@@ -172,7 +150,7 @@ def rasterize(
         normal_all,
         normal_b,
         normal_c,
-        _CRACK_TOLERANCE,
+        CRACK_TOLERANCE,
         _NO_TRIANGLE,
         ray,
         triangle_seen,

@@ -15,6 +15,8 @@ wp.set_module_options({"enable_backward": False})
 
 NO_TRIANGLE = -1
 
+CRACK_TOLERANCE = wp.constant(1.0e-5)
+"""Share of a triangle's size by which it is seen beyond its edges, so that rays miss no seam."""
 _NO_TRIANGLE = wp.constant(NO_TRIANGLE)
 _REACH = wp.constant(1.0)
 _NAN = wp.constant(float("nan"))
@@ -75,6 +77,22 @@ def project_vertices(position: wp.array(dtype=wp.vec3), lens: Lens, pixel: wp.ar
     pixel[v] = projected(position[v], lens)
 
 
+@wp.func
+def vertex_normal_of(
+    v: int,
+    position: wp.array(dtype=wp.vec3),
+    triangles: wp.array2d(dtype=wp.int32),
+    first_face: wp.array(dtype=wp.int32),
+    faces_around: wp.array(dtype=wp.int32),
+):
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for entry in range(first_face[v], first_face[v + 1]):
+        face = faces_around[entry]
+        a = position[triangles[face, 0]]
+        total += wp.cross(position[triangles[face, 1]] - a, position[triangles[face, 2]] - a)
+    return wp.normalize(total)
+
+
 @wp.kernel
 def vertex_normals(
     position: wp.array(dtype=wp.vec3),
@@ -85,12 +103,44 @@ def vertex_normals(
 ):
     """Area-weighted unit normal of every vertex, on the side of the triangles' winding."""
     v = wp.tid()
-    total = wp.vec3(0.0, 0.0, 0.0)
-    for entry in range(first_face[v], first_face[v + 1]):
-        face = faces_around[entry]
-        a = position[triangles[face, 0]]
-        total += wp.cross(position[triangles[face, 1]] - a, position[triangles[face, 2]] - a)
-    normal[v] = wp.normalize(total)
+    normal[v] = vertex_normal_of(v, position, triangles, first_face, faces_around)
+
+
+@wp.func
+def pixels_around(
+    p0: wp.vec2, p1: wp.vec2, p2: wp.vec2, lens: Lens, width: int, row_first: int, row_end: int
+):
+    """First and last column and row that a triangle of these images may be seen in."""
+    left = wp.min(wp.min(p0[0], p1[0]), p2[0])
+    right = wp.max(wp.max(p0[0], p1[0]), p2[0])
+    top = wp.min(wp.min(p0[1], p1[1]), p2[1])
+    bottom = wp.max(wp.max(p0[1], p1[1]), p2[1])
+    # An edge of length s images as a curve of curvature below edge_curvature / focal, which bulges
+    # out of the box of its ends by at most a curvature's eighth of s^2; s^2 is at most 2 extent^2.
+    # Where the focal lengths differ, that holds in angles.
+    extent = wp.max(right - left, bottom - top)
+    least = wp.min(lens.focal_x, lens.focal_y)
+    bulge = wp.max(lens.focal_x, lens.focal_y) / (least * least)
+    margin = 0.25 * lens.edge_curvature * extent * extent * bulge + 0.01
+    x_first = wp.max(int(wp.ceil(left - margin)), 0)
+    x_last = wp.min(int(wp.floor(right + margin)), width - 1)
+    y_first = wp.max(int(wp.ceil(top - margin)), row_first)
+    y_last = wp.min(int(wp.floor(bottom + margin)), row_end - 1)
+    return x_first, x_last, y_first, y_last
+
+
+@wp.func
+def inverse_corners(a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Vectors whose products with a ray are the inverse of the distance along it to a triangle's
+    plane, and the second and third corner's weights times that; zero for a plane seen edge-on."""
+    # Differences first: cross products of nearly equal vectors would lose the digits of depth.
+    ab = b - a
+    face_normal = wp.cross(ab, c - a)
+    plane = wp.dot(a, face_normal)
+    inverse = 0.0
+    if plane != 0.0:
+        inverse = 1.0 / plane
+    return face_normal * inverse, wp.cross(c, a - c) * inverse, wp.cross(a, ab) * inverse
 
 
 @wp.kernel
@@ -113,6 +163,18 @@ def cast_rays(
         depth[y, x] = query.t
         # Warp's u and v belong to the first and second corner.
         barycentric[y, x] = wp.vec2(query.v, 1.0 - query.u - query.v)
+
+
+@wp.func
+def normal_towards_camera(
+    outward: wp.vec3, second: wp.vec3, third: wp.vec3, weight: wp.vec2, ray: wp.vec3
+):
+    """Unit normal between those of a triangle's corners, by the weights of the latter two."""
+    towards = outward + weight[0] * (second - outward) + weight[1] * (third - outward)
+    length = wp.length(towards)
+    if wp.dot(towards, ray) > 0.0:
+        length = -length
+    return towards / length
 
 
 @wp.kernel
@@ -142,19 +204,12 @@ def fill_view(
     i2 = triangles[face, 2]
     weight = barycentric[y, x]
     rest = rest_position[i0]
-    outward = vertex_normal[i0]
     material_point[y, x] = (
         rest + weight[0] * (rest_position[i1] - rest) + weight[1] * (rest_position[i2] - rest)
     )
-    towards = (
-        outward
-        + weight[0] * (vertex_normal[i1] - outward)
-        + weight[1] * (vertex_normal[i2] - outward)
+    normal[y, x] = normal_towards_camera(
+        vertex_normal[i0], vertex_normal[i1], vertex_normal[i2], weight, ray[y, x]
     )
-    length = wp.length(towards)
-    if wp.dot(towards, ray[y, x]) > 0.0:
-        length = -length
-    normal[y, x] = towards / length
 
 
 @wp.struct

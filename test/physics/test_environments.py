@@ -267,3 +267,30 @@ def test_a_ball_pushed_through_the_gel_ends_the_episode_with_the_reason() -> Non
     while not truncated:
         _, _, _, truncated, info = environment.step(inward.astype(np.float32))
     assert "press less deep" in info["reason"]
+
+
+def test_many_presses_at_once_are_those_of_one_world_each():
+    pytest.importorskip("torch")
+    from dotsim_ros.control.environments.press_array import PressArray
+
+    solver = load_sensor("densetact2").solver
+    together = PressArray(2, force_n=0.3, duration_s=0.2)
+    alone = PressEnvironment(observation="depth", force_n=0.3, duration_s=0.2, solver=solver)
+    seen, _ = together.reset(seed=3)
+    assert seen.shape == (2, 64, 64, 4)
+    assert together.observation_space.contains(seen)
+    alone.reset(seed=4)
+    down = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, -1.0]], dtype=np.float32)
+    for number in range(5):
+        seen, reward, terminated, truncated, info = together.step(down)
+        _, right, _, late, told = alone.step(down[1])
+        assert info["force_n"][1] == pytest.approx(told["force_n"], rel=0.05, abs=0.01)
+        assert reward[1] == pytest.approx(right, abs=0.05)
+        assert truncated.tolist() == [late, late] == [number == 4] * 2
+    assert info["force_n"][0] == 0.0
+    assert info["force_n"][1] > 0.3
+    # The next step begins new episodes, whatever the action, with gels at rest.
+    _, reward, terminated, truncated, info = together.step(down)
+    assert not (terminated | truncated | reward.astype(bool) | info["force_n"].astype(bool)).any()
+    with pytest.raises(ValueError, match=r"expected \(2, 3\) finite numbers"):
+        together.step(np.full((2, 3), np.nan, dtype=np.float32))

@@ -152,6 +152,18 @@ def test_a_batch_presses_less_the_farther_aside() -> None:
     assert force_n[-1] > 0.1
 
 
+def test_many_sensors_slip_at_a_force_by_their_friction() -> None:
+    printed = run("many_sensors.py", 3)
+    assert "input of shape (3, 64, 64)" in printed
+    lines = [line for line in printed.splitlines() if "friction" in line]
+    normal_n = [number_before("N normal", line) for line in lines]
+    aside_n = [number_before("N aside", line) for line in lines]
+    # The most slippery slips, and has Coulomb's force.
+    assert aside_n[0] == pytest.approx(0.1 * normal_n[0], rel=0.1)
+    assert aside_n == sorted(aside_n)
+    assert all(0.9 < number_before("mm", line) < 1.1 for line in lines)
+
+
 def test_a_recorded_unit_is_calibrated(tmp_path: Path) -> None:
     printed = start("record_and_calibrate.py", tmp_path)
     assert number_before("Pa", printed) == pytest.approx(2.2e5, rel=0.05)

@@ -115,6 +115,16 @@ CORE_CLEARANCE_M = 1.5e-3
 """The indenter must stay this far from whatever the gel is bonded to."""
 
 
+def rigid_points_m(body: Body) -> FloatArray:
+    """Return points (R, 3) on what a gel is bonded to, which no indenter may come near."""
+    lower, upper = body.bounds_m()
+    # So dense that no tip gets through between them.
+    count = int(np.ceil(np.ptp(body.bounds_m(), axis=0)[:2].max() / CORE_CLEARANCE_M)) + 1
+    base = np.linspace(lower, upper, count)
+    plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
+    return np.concatenate([body.bonded_surface(1.0e-3)[0], plane])
+
+
 class PressTooDeepError(ValueError):
     """The indenter would come too close to the rigid core or the base; nothing was changed."""
 
@@ -303,12 +313,7 @@ class ImplicitGel:
         # By the duration of the substep that inertia is for; 0 without inertia.
         self._tangents = {0.0: Tangents(ExactTangent(self._single, self._mass * 0.0), local)}
         self._shape = shape
-        lower, upper = shape.bounds_m()
-        # So dense that no tip gets through between them.
-        count = int(np.ceil(np.ptp(shape.bounds_m(), axis=0)[:2].max() / CORE_CLEARANCE_M)) + 1
-        base = np.linspace(lower, upper, count)
-        plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
-        self._rigid = cKDTree(np.concatenate([shape.bonded_surface(1.0e-3)[0], plane]))
+        self._rigid = cKDTree(rigid_points_m(shape))
         self._skin_at_rest = cKDTree(skin.rest_position_m)
         self.trace = Trace()
         self.observer: Observer | None = None

@@ -1,0 +1,300 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Many sensors of one kind, solved and seen together in torch's memory. Entry: `TactileArray`.
+
+from dotsim_ros import TactileArray
+
+array = TactileArray("densetact2", 16)
+frame = array.step(position_m, quaternion_xyzw)  # (16, 3), (16, 4)
+frame.depth_m  # (16, 64, 64)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+
+from dotsim_ros.gel.batched.gel import BatchedGel, Effort
+from dotsim_ros.gel.clearance import Clearance
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.markers import PrintedMarkers
+from dotsim_ros.optics.batched import BatchedRenderer, camera_of_size
+from dotsim_ros.sensor import FARTHEST_M
+from dotsim_ros.specification import SensorSpecification, given_sensor
+
+AnIndenter = str | Path | Mapping[str, Any] | Indenter
+
+AWAY_M = 5.0e-3
+"""From the gel to an indenter that is away, at least."""
+SMALLEST_NORM = 1.0e-6
+"""Of a quaternion."""
+PAD_EFFORT = Effort(outer=6)
+"""The thin gel of a pad takes more steps than a dome's until nothing moves farther."""
+TABLE_BYTES = 1.0e9
+"""Of the tables that all gels share."""
+VECTORS_A_MARKER = 45
+"""What a gel keeps and computes with, in vectors (3 numbers of single precision) for each marker of
+its skin..."""
+CONTACT_BYTES = 60.0e6
+"""...and on a GPU, where all gels solve their contact at once, for that."""
+
+
+@dataclass(frozen=True)
+class ArrayFrame:
+    """What B sensors give for one pose of each indenter; the tensors belong to this frame alone.
+
+    Attributes:
+        depth_m: (B, H, W) range, the distance along the ray; NaN where no skin is seen.
+        normal: (B, H, W, 3) unit normal in the optical frame, towards the camera; NaN likewise.
+        marker_px: (B, M, 2) x and y of the printed markers, also of one beyond the image's edge;
+            NaN where the camera has no image of it.
+        skin_position_m: (B, V, 3) skin markers, base frame.
+        force_n, torque_nm: (B, 3) of the gel on the indenter, torque about the base's origin.
+        is_valid: (B,) whether the pose was one that the sensor takes. Where it was not, the sensor
+            shows its last valid state.
+    """
+
+    depth_m: torch.Tensor
+    normal: torch.Tensor
+    marker_px: torch.Tensor
+    skin_position_m: torch.Tensor
+    force_n: torch.Tensor
+    torque_nm: torch.Tensor
+    is_valid: torch.Tensor
+
+
+class TactileArray:
+    """B sensors of one kind, each with its indenter.
+
+    A pose is not valid where a number is not finite, the quaternion is zero, the indenter is
+    farther than `FARTHEST_M`, or comes too near to the gel's core or base, also on its straight way
+    from the last pose. That sensor then stays as it is, and the others go on. So it is where a gel
+    could not be solved; that one is at rest again once its indenter has left it.
+
+    Args:
+        sensor: a name below `params/sensors`, a YAML file, or a specification.
+        count: B.
+        indenters: one for all sensors, or one for each: a name below `params/indenters`, a YAML
+            file, a mesh in metres, a mapping as `load_indenter` takes it, or an indenter.
+        image_size: width and height of depth and normals. What is seen is the part in the middle of
+            the camera's image that has this shape.
+        friction: (B,) coefficients; None for the sensor's.
+        modulus_factor: (B,) each gel's Young's modulus over the sensor's; None for 1.
+        device: torch's name of the device.
+
+    Attributes:
+        camera: of the images.
+        rest_position_m: (V, 3) the skin at rest, base frame.
+
+    Raises:
+        FileNotFoundError: no such sensor or indenter.
+        ValueError: an argument is not valid, the gel is one that `BatchedGel` does not take, or
+            the sensors do not fit into the device's memory.
+    """
+
+    def __init__(
+        self,
+        sensor: str | Path | SensorSpecification,
+        count: int,
+        indenters: AnIndenter | Sequence[AnIndenter] = "sphere_4mm",
+        *,
+        image_size: tuple[int, int] = (64, 64),
+        friction: ArrayLike | None = None,
+        modulus_factor: ArrayLike | None = None,
+        device: str = "cpu",
+    ) -> None:
+        if count < 1:
+            raise ValueError(f"count is {count}, expected at least one sensor")
+        if min(image_size) < 1:
+            raise ValueError(f"image_size is {image_size}, expected a width and a height in pixels")
+        specification = given_sensor(sensor)
+        skin = skin_of(specification.gel)
+        markers = None
+        if specification.markers.columns:
+            markers = PrintedMarkers(specification.markers, skin)
+        marker_count = 0 if markers is None else len(markers.corner)
+        _check_memory(count, skin.vertex_count, image_size, marker_count, device)
+        each = _each_of(indenters, count)
+        self.count, self.device = count, device
+        self.camera = camera_of_size(Camera.from_specification(specification.camera), *image_size)
+        # It takes tensors too.
+        self._gel: Any = BatchedGel(
+            specification,
+            each,
+            count,
+            friction=_checked(friction, "friction", least=0.0),
+            modulus_factor=_checked(modulus_factor, "modulus_factor", least=1e-6),
+            effort=PAD_EFFORT if specification.gel.shape == "pad" else None,
+            device=device,
+        )
+        self._renderer = BatchedRenderer(self.camera, skin, count, markers=markers, device=device)
+        self._clearance = Clearance(specification.gel, each, device)
+        reach_m = max(float(np.linalg.norm(one.bounds_m(), axis=1).max()) for one in each)
+        self._away_m = float(np.linalg.norm(skin.rest_position_m, axis=1).max()) + reach_m + AWAY_M
+        self.rest_position_m = torch.as_tensor(
+            skin.rest_position_m, dtype=torch.float32, device=device
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        """Return all sensors to rest, with their indenters away. One alone returns to rest by a
+        pose that touches nothing."""
+        self._gel.reset()
+        b = self.count
+        self._position_m = torch.tensor([[0.0, 0.0, self._away_m]], device=self.device).repeat(b, 1)
+        self._quaternion = torch.tensor([[0.0, 0.0, 0.0, 1.0]], device=self.device).repeat(b, 1)
+        self._skin_m = self.rest_position_m.repeat(b, 1, 1)
+        self._force_n = torch.zeros(b, 3, device=self.device)
+        self._torque_nm = torch.zeros(b, 3, device=self.device)
+
+    def step(
+        self, position_m: ArrayLike | torch.Tensor, quaternion_xyzw: ArrayLike | torch.Tensor
+    ) -> ArrayFrame:
+        """Move each indenter to its pose on a straight way and return what the sensors give.
+
+        The first pose after a reset is approached along the indenter's axis.
+
+        Args:
+            position_m: (B, 3) of the indenters' frames (origin at the tip, +z away from the gel),
+                base frame.
+            quaternion_xyzw: (B, 4), of any length but zero.
+
+        Raises:
+            ValueError: another shape, or what is no number.
+        """
+        position = self._given(position_m, "position_m", 3)
+        quaternion = self._given(quaternion_xyzw, "quaternion_xyzw", 4)
+        norm = quaternion.norm(dim=1, keepdim=True)
+        is_valid = (
+            torch.isfinite(position).all(dim=1)
+            & (position.abs() <= FARTHEST_M).all(dim=1)
+            & torch.isfinite(norm[:, 0])
+            & (norm[:, 0] >= SMALLEST_NORM)
+        )
+        # An indenter that is farther touches nothing either, and takes longer to get there.
+        nearness = self._away_m / position.norm(dim=1, keepdim=True)
+        position, quaternion = position * nearness.clamp(max=1.0), quaternion / norm
+        position, quaternion = self._or_last(is_valid, position, quaternion)
+        is_valid &= self._clearance.suffices(self._position_m, position, quaternion)
+        self._position_m, self._quaternion = self._or_last(is_valid, position, quaternion)
+        state = self._gel.step(self._position_m, self._quaternion)
+        is_valid &= torch.isfinite(state.skin_position_m).all(dim=2).all(dim=1)
+        is_valid &= torch.isfinite(state.force_n).all(dim=1)
+        changed = is_valid[:, None]
+        self._skin_m = torch.where(changed[:, None], state.skin_position_m, self._skin_m)
+        self._force_n = torch.where(changed, state.force_n, self._force_n)
+        self._torque_nm = torch.where(changed, state.torque_nm, self._torque_nm)
+        view = self._renderer.render(self._skin_m)
+        return ArrayFrame(
+            view.depth_m.clone(),
+            view.normal.clone(),
+            view.marker_px.clone(),
+            self._skin_m.clone(),
+            self._force_n.clone(),
+            self._torque_nm.clone(),
+            is_valid,
+        )
+
+    def _or_last(
+        self, is_valid: torch.Tensor, position_m: torch.Tensor, quaternion: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return poses (B, 3), (B, 4), the last ones where (B,) these are not valid."""
+        takes = is_valid[:, None]
+        return (
+            torch.where(takes, position_m, self._position_m),
+            torch.where(takes, quaternion, self._quaternion),
+        )
+
+    def _given(self, values: ArrayLike | torch.Tensor, name: str, width: int) -> torch.Tensor:
+        """Return what a caller gives for each sensor (B, width).
+
+        Raises:
+            ValueError: it is something else.
+        """
+        if not isinstance(values, torch.Tensor):
+            try:
+                values = torch.from_numpy(np.array(values, dtype=np.float32))
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"{name} holds what is not a number: {error}") from error
+        given = values.detach().to(self.device, torch.float32)
+        if given.shape != (self.count, width):
+            raise ValueError(
+                f"{name} has the shape {tuple(given.shape)}, expected ({self.count}, {width}): a "
+                "row for each sensor"
+            )
+        return given
+
+
+def _each_of(indenters: AnIndenter | Sequence[AnIndenter], count: int) -> list[Indenter]:
+    """Return an indenter for each of B sensors.
+
+    Raises:
+        ValueError: another number of them.
+    """
+    if isinstance(indenters, str | Path | Mapping | Indenter):
+        indenters = [indenters]
+    if len(indenters) not in (1, count):
+        raise ValueError(f"{len(indenters)} indenters for {count} sensors, expected one or each")
+    # Equal names are one indenter.
+    named: dict[str, Indenter] = {}
+    loaded = [
+        one
+        if isinstance(one, Indenter)
+        else named.get(str(one)) or named.setdefault(str(one), load_indenter(one))
+        for one in indenters
+    ]
+    return loaded * (count // len(loaded))
+
+
+def _checked(values: ArrayLike | None, name: str, *, least: float) -> np.ndarray | None:
+    """Return what each gel is given.
+
+    Raises:
+        ValueError: a number is not finite or too small.
+    """
+    if values is None:
+        return None
+    result = np.asarray(values, dtype=float)
+    if not np.all(np.isfinite(result) & (result >= least)):
+        raise ValueError(f"{name} holds {result.min()}, expected finite numbers from {least:g} on")
+    return result
+
+
+def _check_memory(
+    count: int, vertex_count: int, size: tuple[int, int], marker_count: int, device: str
+) -> None:
+    """Refuse more sensors than fit into the free memory of a device, before any is taken.
+
+    Raises:
+        ValueError: they do not fit, or there is no such device.
+    """
+    on_gpu = torch.device(device).type == "cuda"
+    if on_gpu and not torch.cuda.is_available():
+        raise ValueError(f'device is {device!r}, and torch finds no GPU that it can use; try "cpu"')
+    free = torch.cuda.mem_get_info(device)[0] if on_gpu else _free_host_bytes()
+    # z-buffer, triangle, and depth and normal twice: the renderer's and the frame's.
+    pixel = 8 + 4 + 2 * (4 + 12)
+    each = 12.0 * VECTORS_A_MARKER * vertex_count + pixel * size[0] * size[1] + 16 * marker_count
+    each += CONTACT_BYTES if on_gpu else 0.0
+    fitting = max(0, int((free - TABLE_BYTES) / each))
+    if count > fitting:
+        raise ValueError(
+            f"{count} sensors take about {(TABLE_BYTES + count * each) / 1e9:.1f} GB, and {device} "
+            f"has {free / 1e9:.1f} GB free: at most {fitting} fit"
+        )
+
+
+def _free_host_bytes() -> float:
+    """Return the memory that the system can give to programs."""
+    lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    kilobytes = dict(line.split(":", 1) for line in lines)["MemAvailable"]
+    return 1024.0 * float(kilobytes.split()[0])
