@@ -457,11 +457,6 @@ def test_order_and_neighbours_do_not_matter() -> None:
         np.testing.assert_allclose(other_m[:, number], skin_m[:, 0], atol=1e-6)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="NaN in two of eight gels: the squares of the forces that are left in a gel without "
-    "contact underflow in the norm that GMRES divides by, and Anderson's mixing keeps the NaN",
-)
 def test_balls_that_come_and_leave_and_come_again() -> None:
     depth_m = np.array([[-0.01 * 2**b, 0.1, 0.3, -0.1, 0.2] for b in range(8)]) * 1e-3
     position_m = np.zeros((8, 5, 3))

@@ -26,6 +26,8 @@ FORCING = 0.03
 """On a CPU it ends where its residual is below this share of the right hand side."""
 LARGEST_STEP_M = 0.3e-3
 """No Newton step moves a marker farther."""
+LEAST_FORCE_N = 1.0e-12
+"""Smaller forces on all markers of a gel are none."""
 SECANTS = 2
 """Trial steps of a line search."""
 
@@ -208,7 +210,9 @@ class _Problem:
     def gmres(self, right: torch.Tensor) -> torch.Tensor:
         """Return df (B, K, 3) of (I + H C) df = right, from zero."""
         count, shape = len(right), right.shape
-        flat = right.reshape(count, -1)
+        # Squares of less would underflow, and the basis would not be of unit length.
+        is_nothing = right.abs().amax(dim=(1, 2), keepdim=True) < LEAST_FORCE_N
+        flat = torch.where(is_nothing, 0.0, right).reshape(count, -1)
         size = flat.norm(dim=1).clamp(min=1e-30)
         basis = flat.new_empty(count, KRYLOV + 1, flat.shape[1])
         basis[:, 0] = flat / size[:, None]

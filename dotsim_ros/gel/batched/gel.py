@@ -26,7 +26,7 @@ from dotsim_ros.gel.batched import kernels
 from dotsim_ros.gel.batched.contact import Contact, Markers, matrices, solve_contact, vectors
 from dotsim_ros.gel.batched.elastic import ElasticForces
 from dotsim_ros.gel.batched.mixing import Mixing
-from dotsim_ros.gel.batched.rest_compliance import RestCompliance
+from dotsim_ros.gel.batched.rest_compliance import RestCompliance, kept_blocks
 from dotsim_ros.gel.batched.skin import Skin, rounded_up, stencils_of
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.distance_field import indenter_field
@@ -144,16 +144,16 @@ class BatchedGel:
         d = discretize(body, mesh.rest_position_m, s.solver.grid_spacing_m)
         self._spacing_m = d.spacing_m
         self._elastic = ElasticForces(d, law, count, device)
-        compliance = kept_compliance(body, mesh.rest_position_m, d, law)
-        self._rest = RestCompliance(d, compliance, device)
+        skin_m = mesh.rest_position_m
+        self._rest = RestCompliance(d, kept_blocks(body, skin_m, d, law), device)
         fine = None
         if s.solver.refined:
-            table = refine(body, mesh.rest_position_m, d, lambda: compliance, law)
+            table = refine(body, skin_m, d, lambda: kept_compliance(body, skin_m, d, law), law)
             fine = stencils_of(table.skin_weight, device), table
         self._rest_m = torch.as_tensor(mesh.rest_position_m, dtype=torch.float32, device=device)
         self._all_at_rest_m = self._rest_m.expand(count, -1, 3).contiguous()
         weights = d.skin_interpolation.matrix(d.node_count)
-        self._skin = Skin(self._rest_m, stencils_of(weights, device), self._rest.matrix, fine)
+        self._skin = Skin(self._rest_m, stencils_of(weights, device), self._rest, fine)
         self._area_m2 = torch.as_tensor(mesh.rest_area_m2, dtype=torch.float32, device=device)
         self._on_base = torch.as_tensor(mesh.on_base, device=device)
         self._node_count = d.node_count

@@ -9,11 +9,23 @@ for each way of being even or odd in the two mirrors: a quarter of the memory an
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
+from scipy import sparse
 
+from dotsim_ros.gel.batched import kernels
+from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization
-from dotsim_ros.io.arrays import Float32Array
+from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
+from dotsim_ros.gel.implicit.tangent import inverse_of_positive
+from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
+from dotsim_ros.io.arrays import Float32Array, FloatArray
+from dotsim_ros.io.cache import GEL, content_key, keep_table, load_arrays
+from dotsim_ros.io.documents import ArrayForm
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.io.warp_runtime import wp
 
 MIRRORS = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]])
 """(4, 3) signs of a vector's components under the identity, the mirror in x, in y, and in both."""
@@ -21,31 +33,86 @@ PARITIES = 0.5 * np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1], [1, -1,
 """(4, 4) normalised characters of the group of these mirrors."""
 
 
+def kept_blocks(
+    shape: Body, skin_position_m: FloatArray, grid: Discretization, law: ElasticLaw
+) -> Float32Array:
+    """Return the (4, 3 N / 4, 3 N / 4) blocks of the inverse of a gel's stiffness at rest, m/N, a
+    parity each, from the cache if they are there.
+
+    Args:
+        shape: the gel's, its own mirror image; one that is loose on one side is not.
+        skin_position_m: (V, 3) rest positions of the markers, which the grid must hold.
+        grid: of the gel, whose nodes are mirror images of each other.
+        law: its material; only its Poisson's ratio matters for the cache.
+    """
+    youngs, bulk = small_strain_moduli_pa(law)
+    ratio = round(bulk / youngs, 9)
+    key = content_key(GEL, shape, grid.spacing_m, ratio, GHOST_PENALTY, skin_position_m)
+    path = cache_directory() / f"blocks-{key}.npz"
+    size = 3 * grid.node_count // 4
+    stored = load_arrays(path, {"blocks": ArrayForm((4, size, size))})
+    if stored is None:
+        # At 1 Pa, so that its last digits do not depend on which modulus asked for it first.
+        unit = ElasticBody(grid, NeoHookean(1.0, 0.5 - youngs / (6.0 * bulk)), dtype=np.float32)
+        stiffness = unit.stiffness(np.zeros((grid.node_count, 3), dtype=np.float32), 0)
+        blocks = np.empty((4, size, size), dtype=np.float32)
+        for parity, block in enumerate(blocks):
+            basis = _parity_basis(mirror_orbits(grid.node_cell), parity)
+            part = (basis.T @ stiffness @ basis).toarray()
+            block[:] = inverse_of_positive(np.asfortranarray(part, dtype=np.float32))
+        stored = {"blocks": blocks}
+        keep_table(path, stored)
+    return np.asarray(stored["blocks"] / np.float32(youngs), dtype=np.float32)
+
+
+def _parity_basis(orbits: np.ndarray, parity: int) -> sparse.csr_matrix:
+    """Return the nodal vectors (3 N, 3 N / 4) of a parity, orthonormal."""
+    count = len(orbits)
+    # [orbit, image, component]
+    row = 3 * orbits[:, :, None] + np.arange(3)
+    column = np.broadcast_to(3 * np.arange(count)[:, None, None] + np.arange(3), row.shape)
+    sign = np.broadcast_to(PARITIES[parity][:, None] * MIRRORS, row.shape)
+    entries = (sign.ravel(), (row.ravel(), column.ravel()))
+    return sparse.csr_matrix(entries, shape=(12 * count, 3 * count))
+
+
 class RestCompliance:
     """G, the (3 N, 3 N) inverse of the stiffness at rest, m/N.
 
     Args:
-        discretization: the grid, whose nodes are mirror images of each other.
-        compliance: G of a gel that is its own mirror image; one that is loose on one side is not.
+        grid: whose nodes are mirror images of each other.
+        blocks: of G, as `kept_blocks` returns them.
         device: torch's name of the device.
-
-    Attributes:
-        matrix: G on the device.
     """
 
-    def __init__(
-        self, discretization: Discretization, compliance: Float32Array, device: str
-    ) -> None:
-        self.matrix = torch.as_tensor(compliance, device=device)
-        node_count = discretization.node_count
-        self._orbits = torch.as_tensor(mirror_orbits(discretization.node_cell), device=device)
+    def __init__(self, grid: Discretization, blocks: Float32Array, device: str) -> None:
+        orbits = mirror_orbits(grid.node_cell)
+        self._orbits = torch.as_tensor(orbits, device=device)
         # [component, parity, image]
         signs = PARITIES[None] * MIRRORS.T[:, None]
         self._signs = torch.as_tensor(signs, dtype=torch.float32, device=device)
-        half = self._split(self.matrix.view(node_count, 3, -1))
-        self._blocks = torch.stack(
-            [self._split(half[k].T.reshape(node_count, 3, -1))[k].T for k in range(4)]
-        ).contiguous()
+        self._blocks = torch.as_tensor(blocks, device=device)
+        place = np.empty((grid.node_count, 2), dtype=np.int32)
+        place[orbits, 0] = np.arange(len(orbits))[:, None]
+        place[orbits, 1] = np.arange(4)
+        self._between_inputs: list[Any] = [
+            wp.from_torch(torch.as_tensor(place, device=device)),
+            wp.from_torch(self._signs),
+            wp.from_torch(self._blocks),
+        ]
+
+    def between(self, node: torch.Tensor) -> torch.Tensor:
+        """Return the blocks (B, R, R, 9) of G between nodes (B, R)."""
+        count, size = node.shape
+        result = torch.empty(count, size, size, 9, device=node.device)
+        wp.launch(
+            kernels.gather_compliance,
+            dim=(count, size, size),
+            inputs=[wp.from_torch(node.to(torch.int32)), *self._between_inputs],
+            outputs=[wp.from_torch(result)],
+            device=str(node.device),
+        )
+        return result
 
     def _split(self, vectors: torch.Tensor) -> torch.Tensor:
         """Return the parts (4, 3 N / 4, B) of nodal vectors (N, 3, B), a parity each."""

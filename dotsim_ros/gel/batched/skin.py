@@ -14,6 +14,7 @@ import torch
 from dotsim_ros.gel.batched import kernels
 from dotsim_ros.gel.batched.contact import vectors
 from dotsim_ros.gel.batched.elastic import sparse_tensor
+from dotsim_ros.gel.batched.rest_compliance import RestCompliance
 from dotsim_ros.gel.implicit.refinement import Refinement
 from dotsim_ros.io.warp_runtime import wp
 
@@ -64,7 +65,7 @@ class Skin:
     Args:
         rest_m: (V, 3) its markers at rest.
         stencils: on the grid.
-        compliance: (3 N, 3 N) of the grid at rest, m/N.
+        rest: the grid's compliance.
         fine: stencils on the finer grid and what that adds to the compliance; None for a skin that
             is not refined.
     """
@@ -73,14 +74,10 @@ class Skin:
         self,
         rest_m: torch.Tensor,
         stencils: Stencils,
-        compliance: torch.Tensor,
+        rest: RestCompliance,
         fine: tuple[Stencils, Refinement] | None,
     ) -> None:
-        self.rest_m, self._stencils = rest_m, stencils
-        n = stencils.node_count
-        # The blocks of nodes i and j, one after the other.
-        self._blocks = compliance.view(n, 3, n, 3).permute(0, 2, 1, 3).reshape(n * n, 9)
-        self._blocks = self._blocks.contiguous()
+        self.rest_m, self._stencils, self._rest = rest_m, stencils, rest
         self._device = str(rest_m.device)
         self._fine: Stencils | None = None
         if fine is not None:
@@ -128,13 +125,10 @@ class Skin:
     def compliance(self, index: torch.Tensor) -> torch.Tensor:
         """Return the compliance (B, 3 K, 3 K) at rest between markers (B, K), m/N."""
         node, _, weight = _around(self._stencils, index)
-        b, count = node.shape
-        n = self._stencils.node_count
-        pairs = (node[:, :, None] * n + node[:, None, :]).view(-1)
-        result = _between(weight, self._blocks.index_select(0, pairs).view(b, count, count, 9))
+        result = _between(weight, self._rest.between(node))
         if self._fine is not None:
             node, number, weight = _around(self._fine, index)
-            blocks = result.new_zeros(b, node.shape[1], node.shape[1], 9)
+            blocks = result.new_zeros(*node.shape, node.shape[1], 9)
             wp.launch(
                 kernels.gather_refinement,
                 dim=tuple(node.shape),
