@@ -75,7 +75,8 @@ class BatchState:
         skin_position_m: (B, V, 3) base frame.
         force_n, torque_nm: (B, 3) of each gel on its indenter; torque about the base's origin.
         max_penetration_m: (B,) of a marker into the indenter.
-        left_m: (B,) how far the last step of the iteration moved any node.
+        left_m: (B,) how far the last step of the iteration moved any node. It bounds no error: deep
+            in a thin pad, mixing takes short steps far from the end.
     """
 
     skin_position_m: torch.Tensor
