@@ -102,7 +102,17 @@ else:
             if name in names:
                 from importlib import import_module
 
-                globals()[name] = value = getattr(import_module(module), name)
+                try:
+                    home = import_module(module)
+                except ModuleNotFoundError as error:
+                    if error.name != "torch":
+                        raise
+                    raise ModuleNotFoundError(
+                        f"dotsim_ros.{name} needs torch, which is not installed: "
+                        "pip install 'dotsim_ros[learning]'",
+                        name="torch",
+                    ) from error
+                globals()[name] = value = getattr(home, name)
                 return value
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
