@@ -14,6 +14,7 @@ import dataclasses
 import hashlib
 import logging
 import os
+import time
 from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
@@ -86,8 +87,7 @@ def _add(digest: hashlib._Hash, value: Any) -> None:
 def load_arrays(path: Path, forms: Mapping[str, ArrayForm] | None = None) -> Arrays | None:
     """Return the arrays of a kept answer; None where there is none, or none that can be read.
 
-    The time at which the file was changed becomes now: `keep_table` drops what was not read for the
-    longest time.
+    Its time of access becomes now: `keep_table` drops what was not read for the longest time.
 
     Args:
         path: of the answer.
@@ -101,7 +101,7 @@ def load_arrays(path: Path, forms: Mapping[str, ArrayForm] | None = None) -> Arr
         tell_broken(path, error)
         return None
     with contextlib.suppress(OSError):  # a folder that can only be read
-        os.utime(path)
+        os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
     return arrays
 
 
@@ -138,7 +138,7 @@ def keep_table(
         # Another process may remove it first.
         with contextlib.suppress(OSError):
             status = other.stat()
-            others.append((other != path, status.st_mtime, status.st_size, other))
+            others.append((other != path, status.st_atime, status.st_size, other))
     taken = 0
     for _, _, size, other in sorted(others, key=lambda one: (one[0], -one[1])):
         taken += size
