@@ -137,7 +137,7 @@ class TactileArray:
             device=device,
         )
         self._renderer = BatchedRenderer(self.camera, skin, count, markers=markers, device=device)
-        self._clearance = Clearance(specification.gel, each, device)
+        self._clearance = Clearance(specification.gel, self._gel.field, device)
         reach_m = max(float(np.linalg.norm(one.bounds_m(), axis=1).max()) for one in each)
         self._away_m = float(np.linalg.norm(skin.rest_position_m, axis=1).max()) + reach_m + AWAY_M
         self.rest_position_m = torch.as_tensor(

@@ -6,30 +6,24 @@
 # Warp reads kernels by its own rules, which are none of a type checker's.
 # mypy: disable-error-code="no-untyped-def, valid-type, misc"
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
 
-from dotsim_ros.gel.distance_field import distance_functions, indenter_field
+from dotsim_ros.gel.batched.kernels import IndenterField, indenter_distance
 from dotsim_ros.gel.implicit.gel import CORE_CLEARANCE_M, rigid_points_m
 from dotsim_ros.gel.make import body_of
-from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.specification import GelSpecification
 
 PLACES = 4
 """Looked at on the way to a pose, the last one included."""
 
-_distance = distance_functions(wp.float32)
-_IndenterField = _distance.IndenterField
-_indenter_distance = _distance.indenter_distance
-
 
 @wp.kernel
 def _nearest_on_way(
     point: wp.array(dtype=wp.vec3),
-    field: wp.array(dtype=_IndenterField),
+    field: wp.array(dtype=IndenterField),
     start: wp.array(dtype=wp.vec3),
     end: wp.array(dtype=wp.vec3),
     rotation: wp.array(dtype=wp.quat),
@@ -41,9 +35,7 @@ def _nearest_on_way(
     for k in range(places):
         share = float(k + 1) / float(places)
         place = point[i] - start[b] - share * (end[b] - start[b])
-        d, _gradient, _hessian = _indenter_distance(
-            field[b], wp.quat_rotate_inv(rotation[b], place)
-        )
+        d, _gradient, _hessian = indenter_distance(field[b], wp.quat_rotate_inv(rotation[b], place))
         wp.atomic_min(distance, b, d)
 
 
@@ -52,19 +44,14 @@ class Clearance:
 
     Args:
         gel: of the sensor.
-        indenters: one for each gel.
+        field: Warp array (B,) of the indenters, as `BatchedGel` holds it.
         device: torch's name of the device.
     """
 
-    def __init__(self, gel: GelSpecification, indenters: Sequence[Indenter], device: str) -> None:
+    def __init__(self, gel: GelSpecification, field: Any, device: str) -> None:
         points = torch.as_tensor(rigid_points_m(body_of(gel)), dtype=torch.float32, device=device)
         self._point = wp.from_torch(points, dtype=wp.vec3)
-        # The device's copy points to the arrays of these.
-        self._known_fields = {
-            id(one): indenter_field(one, scalar=wp.float32, device=device) for one in indenters
-        }
-        fields = [self._known_fields[id(one)] for one in indenters]
-        self._field: Any = wp.array(fields, dtype=_IndenterField, device=device)
+        self._field = field
 
     def suffices(
         self, start_m: torch.Tensor, end_m: torch.Tensor, quaternion_xyzw: torch.Tensor

@@ -391,3 +391,12 @@ CAMERAS: dict[str, type[Camera]] = {
     kind.projection: kind for kind in (FisheyeCamera, PinholeCamera)
 }
 """By their projection."""
+
+
+def middle_part(size_px: tuple[int, int], shape_px: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Return the largest part (left, top, width, height) in the middle of an image (width, height)
+    that has the shape of another size."""
+    width, height = size_px
+    scale = min(width / shape_px[0], height / shape_px[1])
+    across, down = max(1, round(shape_px[0] * scale)), max(1, round(shape_px[1] * scale))
+    return (width - across) // 2, (height - down) // 2, across, down

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.geometry.camera import Camera, middle_part
 from dotsim_ros.geometry.markers import PrintedMarkers
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.warp_runtime import wp
@@ -46,10 +46,8 @@ class BatchView:
 def camera_of_size(camera: Camera, width: int, height: int) -> Camera:
     """Return the camera of the largest part in the middle of an image that has the shape of a size,
     at this size."""
-    scale = min(camera.width / width, camera.height / height)
-    across, down = max(1, round(width * scale)), max(1, round(height * scale))
-    left, top = (camera.width - across) // 2, (camera.height - down) // 2
-    return camera.part(left, top, across, down).scaled(width, height)
+    part = middle_part((camera.width, camera.height), (width, height))
+    return camera.part(*part).scaled(width, height)
 
 
 class BatchedRenderer:

@@ -33,6 +33,23 @@ ROUNDING = 1e-6
 """By which an action may be larger than 1."""
 
 
+def frame_count(duration_s: float) -> int:
+    """Return the frames of an episode.
+
+    Raises:
+        ValueError: the duration is not finite, or less than a frame.
+    """
+    if not FRAME_S <= duration_s < np.inf:
+        raise ValueError(f"duration_s is {duration_s}, expected at least {FRAME_S} s, a frame")
+    return round(duration_s / FRAME_S)
+
+
+def check_force(force_n: float) -> None:
+    """Raise ValueError where no ball presses to a force."""
+    if not 0.0 < force_n < 10.0:
+        raise ValueError(f"force_n is {force_n}, expected more than 0 and less than 10 N")
+
+
 class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
     """What pressing and following have in common.
 
@@ -67,9 +84,7 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
         self.render_mode = render_mode
         self.contact = contact_with(self.sensor.specification.gel, BALL_RADIUS_M)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
-        if not FRAME_S <= duration_s < np.inf:
-            raise ValueError(f"duration_s is {duration_s}, expected at least {FRAME_S} s, a frame")
-        self._largest_count = round(duration_s / FRAME_S)
+        self._largest_count = frame_count(duration_s)
         self._count = 0
         self.position_m = np.zeros(3)
         self.gel: GelFrame | None = None
@@ -156,8 +171,7 @@ class PressEnvironment(BallEnvironment):
     TOLERANCE = 0.1
 
     def __init__(self, *, force_n: float = 1.0, **others: Any) -> None:
-        if not 0.0 < force_n < 10.0:
-            raise ValueError(f"force_n is {force_n}, expected more than 0 and less than 10 N")
+        check_force(force_n)
         super().__init__(**others)
         self.target_n = force_n
         self._held = 0

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.gel.make import GelFrame
+from dotsim_ros.geometry.camera import middle_part
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
 
@@ -29,6 +30,14 @@ SKIN_SPACING_M = 1.0e-3
 SOLVER = SolverSpecification(grid_spacing_m=3.6e-3, refined=False, tolerance_m=100e-6, iterations=2)
 """Of a dome: coarse, so that an hour is enough to learn on two cores. The thin gel of a pad would
 diverge with it."""
+
+
+def depth_space(size_px: tuple[int, int]) -> gymnasium.spaces.Box:
+    """Return the space of range and normal (H, W, 4) of a width and height."""
+    high = np.ones((size_px[1], size_px[0], 4), dtype=np.float32)
+    low = -high
+    low[..., 0], high[..., 0] = 0.0, LARGEST_DEPTH_M
+    return gymnasium.spaces.Box(low, high, dtype=np.float32)
 
 
 class TouchView:
@@ -71,10 +80,7 @@ class TouchView:
         if self._kind == "image":
             return gymnasium.spaces.Box(0, 255, (height, width, 3), np.uint8)
         if self._kind == "depth":
-            high = np.ones((height, width, 4), dtype=np.float32)
-            low = -high
-            low[..., 0], high[..., 0] = 0.0, LARGEST_DEPTH_M
-            return gymnasium.spaces.Box(low, high, dtype=np.float32)
+            return depth_space(self._size_px)
         shape = (self.sensor.skin.vertex_count, 3) if self._kind == "skin" else (6,)
         return gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
 
@@ -125,7 +131,5 @@ def _middle(image: NDArray[Any], size_px: tuple[int, int]) -> NDArray[Any]:
     """Return the largest part in the middle of an image (H, W, C) that has the shape of a size
     (width, height)."""
     height, width = image.shape[:2]
-    scale = min(width / size_px[0], height / size_px[1])
-    across, down = round(size_px[0] * scale), round(size_px[1] * scale)
-    left, top = (width - across) // 2, (height - down) // 2
+    left, top, across, down = middle_part((width, height), size_px)
     return image[top : top + down, left : left + across]

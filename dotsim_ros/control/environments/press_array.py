@@ -20,8 +20,10 @@ from dotsim_ros.control.environments.ball import (
     LARGEST_SPEED_M_S,
     ROUNDING,
     PressEnvironment,
+    check_force,
+    frame_count,
 )
-from dotsim_ros.control.environments.observation import LARGEST_DEPTH_M
+from dotsim_ros.control.environments.observation import depth_space
 from dotsim_ros.control.policy.paths import contact_with
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.io.arrays import BoolArray, FloatArray
@@ -65,10 +67,8 @@ class PressArray(
         sensor: str | Path | SensorSpecification = "densetact2",
         device: str = "cpu",
     ) -> None:
-        if not 0.0 < force_n < 10.0:
-            raise ValueError(f"force_n is {force_n}, expected more than 0 and less than 10 N")
-        if not FRAME_S <= duration_s < np.inf:
-            raise ValueError(f"duration_s is {duration_s}, expected at least {FRAME_S} s, a frame")
+        check_force(force_n)
+        self._largest_count = frame_count(duration_s)
         specification = given_sensor(sensor)
         ball = load_indenter({"kind": "sphere", "radius_m": BALL_RADIUS_M})
         self.array = TactileArray(
@@ -76,11 +76,7 @@ class PressArray(
         )
         self.num_envs, self.target_n = count, force_n
         self._contact = contact_with(specification.gel, BALL_RADIUS_M)
-        self._largest_count = round(duration_s / FRAME_S)
-        high = np.ones((image_size_px[1], image_size_px[0], 4), dtype=np.float32)
-        low = -high
-        low[..., 0], high[..., 0] = 0.0, LARGEST_DEPTH_M
-        self.single_observation_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        self.single_observation_space = depth_space(image_size_px)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, count)
         self.action_space = batch_space(self.single_action_space, count)

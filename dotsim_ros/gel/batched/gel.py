@@ -117,6 +117,7 @@ class BatchedGel:
 
     Attributes:
         rest_position_m: (V, 3) of the skin's markers.
+        field: Warp array (B,) of the indenters as kernels know them, `IndenterField`.
 
     Raises:
         ValueError: an argument of another length than B, a gel with relaxation or inertia, or one
@@ -180,7 +181,7 @@ class BatchedGel:
         fields = [known[id(one)] for one in given] * (self.count // len(given))
         # The device's copy points to the arrays of these.
         self._known_fields = known
-        self._field: Any = wp.array(fields, dtype=kernels.IndenterField, device=self.device)
+        self.field: Any = wp.array(fields, dtype=kernels.IndenterField, device=self.device)
         laws = [
             contact_law(
                 kernels.ContactLaw,
@@ -284,7 +285,7 @@ class BatchedGel:
             dim=tuple(distance.shape),
             inputs=[
                 vectors(position_m),
-                self._field,
+                self.field,
                 matrices(rotation.contiguous()),
                 vectors(origin_m.contiguous()),
                 wp.from_torch(distance),
@@ -366,7 +367,7 @@ class BatchedGel:
             torch.gather(self._slip_m, 1, three),
             rotation.contiguous(),
             origin_m.contiguous(),
-            self._field,
+            self.field,
             self._contact_law,
         )
         return markers, counts
