@@ -18,13 +18,12 @@ from scipy import sparse
 from dotsim_ros.gel.batched import kernels
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization
-from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
+from dotsim_ros.gel.elasticity import ElasticBody
+from dotsim_ros.gel.implicit.rest_compliance import kept_inverse
 from dotsim_ros.gel.implicit.tangent import inverse_of_positive
-from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
+from dotsim_ros.gel.material import ElasticLaw
 from dotsim_ros.io.arrays import Float32Array, FloatArray
-from dotsim_ros.io.cache import GEL, content_key, keep_table, load_arrays
 from dotsim_ros.io.documents import ArrayForm
-from dotsim_ros.io.files import cache_directory
 from dotsim_ros.io.warp_runtime import wp
 
 MIRRORS = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]])
@@ -45,24 +44,20 @@ def kept_blocks(
         grid: of the gel, whose nodes are mirror images of each other.
         law: its material; only its Poisson's ratio matters for the cache.
     """
-    youngs, bulk = small_strain_moduli_pa(law)
-    ratio = round(bulk / youngs, 9)
-    key = content_key(GEL, shape, grid.spacing_m, ratio, GHOST_PENALTY, skin_position_m)
-    path = cache_directory() / f"blocks-{key}.npz"
-    size = 3 * grid.node_count // 4
-    stored = load_arrays(path, {"blocks": ArrayForm((4, size, size))})
-    if stored is None:
-        # At 1 Pa, so that its last digits do not depend on which modulus asked for it first.
-        unit = ElasticBody(grid, NeoHookean(1.0, 0.5 - youngs / (6.0 * bulk)), dtype=np.float32)
-        stiffness = unit.stiffness(np.zeros((grid.node_count, 3), dtype=np.float32), 0)
-        blocks = np.empty((4, size, size), dtype=np.float32)
-        for parity, block in enumerate(blocks):
-            basis = _parity_basis(mirror_orbits(grid.node_cell), parity)
-            part = (basis.T @ stiffness @ basis).toarray()
-            block[:] = inverse_of_positive(np.asfortranarray(part, dtype=np.float32))
-        stored = {"blocks": blocks}
-        keep_table(path, stored)
-    return np.asarray(stored["blocks"] / np.float32(youngs), dtype=np.float32)
+    form = ArrayForm((4,) + (3 * grid.node_count // 4,) * 2)
+    return kept_inverse("blocks", form, _inverse_in_blocks, shape, skin_position_m, grid, law)
+
+
+def _inverse_in_blocks(body: ElasticBody) -> Float32Array:
+    grid = body.discretization
+    stiffness = body.stiffness(np.zeros((grid.node_count, 3), dtype=np.float32), 0)
+    orbits = mirror_orbits(grid.node_cell)
+    blocks = np.empty((4,) + (3 * len(orbits),) * 2, dtype=np.float32)
+    for parity, block in enumerate(blocks):
+        basis = _parity_basis(orbits, parity)
+        part = (basis.T @ stiffness @ basis).toarray()
+        block[:] = inverse_of_positive(np.asfortranarray(part, dtype=np.float32))
+    return blocks
 
 
 def _parity_basis(orbits: np.ndarray, parity: int) -> sparse.csr_matrix:

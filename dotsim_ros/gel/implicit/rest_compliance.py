@@ -9,6 +9,8 @@ inverse a tenth of that. It scales as 1/E.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dotsim_ros.gel.body import Body
@@ -34,15 +36,36 @@ def kept_compliance(
         grid: of the gel.
         law: its material; only its Poisson's ratio matters for the cache.
     """
+    form = ArrayForm((3 * grid.node_count,) * 2)
+    return kept_inverse("rest", form, inverse_at_rest, shape, skin_position_m, grid, law)
+
+
+def kept_inverse(
+    name: str,
+    form: ArrayForm,
+    invert: Callable[[ElasticBody], Float32Array],
+    shape: Body,
+    skin_position_m: FloatArray,
+    grid: Discretization,
+    law: ElasticLaw,
+) -> Float32Array:
+    """Return an inverse of the stiffness at rest that scales as 1/E, from the cache if it is there.
+
+    Args:
+        name: of the table, before its key.
+        form: of the inverse.
+        invert: computes it for a body of 1 Pa.
+        shape, skin_position_m, grid, law: as for `kept_compliance`.
+    """
     youngs, bulk = small_strain_moduli_pa(law)
     key = content_key(
         GEL, shape, grid.spacing_m, round(bulk / youngs, 9), GHOST_PENALTY, skin_position_m
     )
-    path = cache_directory() / f"rest-{key}.npz"
-    stored = load_arrays(path, {"compliance": ArrayForm((3 * grid.node_count,) * 2)})
+    path = cache_directory() / f"{name}-{key}.npz"
+    stored = load_arrays(path, {"compliance": form})
     if stored is None:
         # At 1 Pa, so that its last digits do not depend on which modulus asked for it first.
         unit = ElasticBody(grid, NeoHookean(1.0, 0.5 - youngs / (6.0 * bulk)), dtype=np.float32)
-        stored = {"compliance": inverse_at_rest(unit)}
+        stored = {"compliance": invert(unit)}
         keep_table(path, stored)
     return np.asarray(stored["compliance"] / np.float32(youngs), dtype=np.float32)
