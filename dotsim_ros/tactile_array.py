@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from dotsim_ros.gel.batched.gel import BatchedGel, Effort
+from dotsim_ros.gel.batched.gel import BatchedGel
 from dotsim_ros.gel.clearance import Clearance
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.camera import Camera
@@ -37,11 +37,9 @@ AWAY_M = 5.0e-3
 """From the gel to an indenter that is away, at least."""
 SMALLEST_NORM = 1.0e-6
 """Of a quaternion."""
-PAD_EFFORT = Effort(outer=6)
-"""The thin gel of a pad takes more steps than a dome's until nothing moves farther."""
 TABLE_BYTES = 1.0e9
 """Of the tables that all gels share."""
-VECTORS_A_MARKER = 45
+VECTORS_A_MARKER = 50
 """What a gel keeps and computes with, in vectors (3 numbers of single precision) for each marker of
 its skin..."""
 CONTACT_BYTES = 60.0e6
@@ -133,7 +131,6 @@ class TactileArray:
             count,
             friction=_checked(friction, "friction", least=0.0),
             modulus_factor=_checked(modulus_factor, "modulus_factor", least=1e-6),
-            effort=PAD_EFFORT if specification.gel.shape == "pad" else None,
             device=device,
         )
         self._renderer = BatchedRenderer(self.camera, skin, count, markers=markers, device=device)
@@ -187,8 +184,7 @@ class TactileArray:
         is_valid &= self._clearance.suffices(self._position_m, position, quaternion)
         self._position_m, self._quaternion = self._or_last(is_valid, position, quaternion)
         state = self._gel.step(self._position_m, self._quaternion)
-        is_valid &= torch.isfinite(state.skin_position_m).all(dim=2).all(dim=1)
-        is_valid &= torch.isfinite(state.force_n).all(dim=1)
+        is_valid &= torch.isfinite(state.left_m)
         changed = is_valid[:, None]
         self._skin_m = torch.where(changed[:, None], state.skin_position_m, self._skin_m)
         self._force_n = torch.where(changed, state.force_n, self._force_n)

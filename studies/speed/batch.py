@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dotsim_ros.gel.batched.gel import BatchedGel
+from dotsim_ros.gel.batched.gel import BatchedGel, Effort
 from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
@@ -53,7 +53,12 @@ def motion(number: int, radius_m: float) -> list[Pose]:
 
 
 def batch(
-    *, counts: tuple[int, ...] = (1, 16, 64), device: str = "cpu", threads: int = 1
+    *,
+    counts: tuple[int, ...] = (1, 16, 64),
+    device: str = "cpu",
+    threads: int = 1,
+    outer: int = Effort.outer,
+    newton: int = Effort.newton,
 ) -> dict[str, Any]:
     """Time and error of many gels in one state.
 
@@ -61,6 +66,8 @@ def batch(
         counts: of gels.
         device: torch's name: cpu, cuda.
         threads: of torch, on a CPU.
+        outer: steps of a substep at most.
+        newton: steps of each contact problem at most.
     """
     torch.set_num_threads(threads)
     sensor, ball = load_sensor(SENSOR), load_indenter(INDENTER)
@@ -70,9 +77,10 @@ def batch(
     right = make_gel_batch(replace(sensor, solver=close), indenter=ball, environment_count=1)
     truth = [right.step([pose], FRAME_S)[0] for pose in motion(0, radius_m)]
     figures: dict[str, Any] = {"sensor": SENSOR, "indenter": INDENTER, "device": device}
+    figures["steps"] = [outer, newton]
     for count in counts:
         paths = [motion(number, radius_m) for number in range(count)]
-        gel = BatchedGel(sensor, ball, count, device=device)
+        gel = BatchedGel(sensor, ball, count, effort=Effort(outer, newton), device=device)
         single.reset()
         spent_s, alone_s, skin_m, force = [], [], [], []
         for frame, poses in enumerate(zip(*paths, strict=True)):

@@ -129,6 +129,24 @@ def test_a_pad_and_an_unrefined_gel_are_solved_too():
             )
 
 
+def test_a_thin_pad_is_followed_deep_and_aside():
+    sensor = load_sensor("gelsight_mini")
+    sensor = replace(sensor, solver=replace(sensor.solver, refined=False))
+    sphere = load_indenter("sphere_4mm")
+    gel, single = BatchedGel(sensor, sphere, 1), solved_closely(sensor, sphere)
+    top_m = sensor.gel.pad_size_m[2]
+    # To 37 % of the thickness, where the gel is several times as stiff as at rest.
+    down = [(depth_m, 0.0) for depth_m in np.arange(0.25e-3, 1.51e-3, 0.25e-3)]
+    for depth_m, aside_m in [*down, (1.5e-3, 0.25e-3), (1.5e-3, 0.5e-3)]:
+        pose = Pose(np.array([0.3e-3, aside_m, top_m - depth_m]))
+        found = step(gel, [pose])
+        [right] = single.step([pose], 0.04)
+        off_m = found.skin_position_m[0].numpy() - right.skin_position_m
+        assert np.linalg.norm(off_m, axis=1).max() < 15e-6
+        off_n = np.linalg.norm(found.force_n[0].numpy() - right.wrench.force_n)
+        assert off_n < 0.01 * np.linalg.norm(right.wrench.force_n)
+
+
 def test_the_compliance_at_rest_is_that_of_the_whole_stiffness_inverted():
     sensor = load_sensor("digit")
     body, law = body_of(sensor.gel), law_of(sensor.material)

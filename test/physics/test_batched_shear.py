@@ -32,7 +32,8 @@ BALL = sphere(BALL_RADIUS_M)
 PUNCH = flat_punch(3e-3, 8e-3, 0.5e-3)
 BRICK = box((4e-3, 3e-3, 6e-3), 0.5e-3)
 PLATE = box((20e-3, 20e-3, 10e-3))
-CLOSE = Effort(outer=20, newton=10, tolerance_m=1e-6)
+CLOSE = Effort(tolerance_m=1e-6)
+FIXED = Effort(outer=4, newton=4, tolerance_m=0.0)
 FRAMES = 34
 PRESSED = 9
 """Number of the frame that ends the press of most cases."""
@@ -206,7 +207,7 @@ def test_every_marker_obeys_coulomb_and_none_is_attracted(pad: dict[str, Run], n
     assert largest_n > 0.02
     for pressing, holding in parts:
         assert pressing.min() > -1e-3 * largest_n
-        assert np.all(holding <= found.case.friction * pressing + 1e-3 * largest_n)
+        assert np.all(holding <= found.case.friction * pressing + 3e-3 * largest_n)
 
 
 def test_a_plate_without_friction_is_not_held(block: dict[str, Run]) -> None:
@@ -349,14 +350,6 @@ def test_a_balls_twist_on_a_pad_is_hertz(pad: dict[str, Run]) -> None:
     )
 
 
-TURN_AT_ONCE = pytest.mark.xfail(
-    strict=True,
-    reason="torque 4.3 % (ball) and 2.3 % (punch) too small: a turn does not count as a way, so a "
-    "frame of 30 degrees is one substep",
-)
-
-
-@TURN_AT_ONCE
 @pytest.mark.parametrize("name", ["ball_turned", "punch_turned"])
 def test_a_turn_at_once_is_one_in_ten_frames(pad: dict[str, Run], name: str) -> None:
     steps, once = pad[name], pad[f"{name}_at_once"]
@@ -449,10 +442,9 @@ def slides(order: list[int], effort: Effort) -> list[FloatArray]:
 
 
 def test_order_and_neighbours_do_not_matter() -> None:
-    fixed = Effort(tolerance_m=0.0)
-    force_n, skin_m = slides([0, 1, 2], fixed)
+    force_n, skin_m = slides([0, 1, 2], FIXED)
     for order, number in (([2, 1, 0], 2), ([1] * 8 + [0], 8), ([0], 0)):
-        other_n, other_m = slides(order, fixed)
+        other_n, other_m = slides(order, FIXED)
         np.testing.assert_allclose(other_n[:, number], force_n[:, 0], atol=2e-3 * 0.3)
         np.testing.assert_allclose(other_m[:, number], skin_m[:, 0], atol=1e-6)
 
@@ -462,7 +454,7 @@ def test_balls_that_come_and_leave_and_come_again() -> None:
     position_m = np.zeros((8, 5, 3))
     position_m[:, :, 2] = BLOCK.gel.pad_size_m[2] - depth_m
     poses = position_m, np.tile([0.0, 0.0, 0.0, 1.0], (8, 5, 1))
-    for effort in (Effort(tolerance_m=0.0), CLOSE):
+    for effort in (FIXED, CLOSE):
         force_n, _, _, _ = step_through(BLOCK, [BALL] * 8, np.full(8, 0.3), poses, effort)
         assert np.isfinite(force_n).all()
         assert not force_n[3].any()

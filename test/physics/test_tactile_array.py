@@ -17,7 +17,7 @@ import torch
 
 from dotsim_ros import tactile_array
 from dotsim_ros.gel.batched.gel import BatchedGel
-from dotsim_ros.tactile_array import PAD_EFFORT, TactileArray
+from dotsim_ros.tactile_array import TactileArray
 
 INDENTERS = {
     "densetact2": ("sphere_4mm", "box_edge", "sphere_4mm"),
@@ -77,8 +77,7 @@ def test_each_sensor_is_one_of_its_own_whatever_the_others_are_given(arrays, nam
     np.testing.assert_array_equal(frames[2].skin_position_m[2], frames[1].skin_position_m[2])
     see = SkinRenderer(array.camera, skin_of(sensor.gel)).render
     shapes = {one: load_indenter(one) for one in INDENTERS[name]}
-    effort = PAD_EFFORT if sensor.gel.shape == "pad" else None
-    gel = BatchedGel(sensor, shapes[INDENTERS[name][0]], 1, effort=effort)
+    gel = BatchedGel(sensor, shapes[INDENTERS[name][0]], 1)
     for b, indenter in enumerate(INDENTERS[name]):
         gel.set_indenters(shapes[indenter])
         for frame, (position_m, _) in zip(frames, steps, strict=True):

@@ -12,7 +12,7 @@ that, Newton's method diverges in deep presses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -40,30 +40,30 @@ class Markers:
         index: (B, K) their numbers.
         area_m2: (B, K).
         start_position_m, start_slip_m: (B, K, 3) in the indenter's frame.
-        rotation, origin_m: (B, 3, 3), (B, 3) pose of each indenter.
-        field, law: Warp arrays (B,) of the indenters and of the contact's law.
+        gel: (B,) numbers of the gels, for what follows.
+        rotation, origin_m: poses of all indenters.
+        field, law: Warp arrays of all indenters and of the contact's laws.
     """
 
     index: torch.Tensor
     area_m2: torch.Tensor
     start_position_m: torch.Tensor
     start_slip_m: torch.Tensor
+    gel: torch.Tensor
     rotation: torch.Tensor
     origin_m: torch.Tensor
     field: Any
     law: Any
 
-    def part(self, gels: slice, count: int) -> Markers:
-        """Return the first markers of some of the gels."""
-        return Markers(
-            self.index[gels, :count],
-            self.area_m2[gels, :count].contiguous(),
-            self.start_position_m[gels, :count].contiguous(),
-            self.start_slip_m[gels, :count].contiguous(),
-            self.rotation[gels],
-            self.origin_m[gels],
-            self.field[gels],
-            self.law[gels],
+    def part(self, number: torch.Tensor, count: int) -> Markers:
+        """Return the first markers of some of these gels."""
+        return replace(
+            self,
+            index=self.index[number, :count],
+            area_m2=self.area_m2[number, :count],
+            start_position_m=self.start_position_m[number, :count],
+            start_slip_m=self.start_slip_m[number, :count],
+            gel=self.gel[number],
         )
 
     def gather(self, values: torch.Tensor) -> torch.Tensor:
@@ -153,6 +153,7 @@ class _Problem:
             inputs=[
                 vectors(self.position_m),
                 wp.from_torch(markers.area_m2),
+                wp.from_torch(markers.gel),
                 markers.field,
                 matrices(markers.rotation),
                 vectors(markers.origin_m),

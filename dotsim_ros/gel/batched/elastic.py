@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -68,11 +69,14 @@ class ElasticForces:
 def sparse_tensor(matrix: Any, device: str) -> torch.Tensor:
     """Return a SciPy matrix as a sparse tensor of single precision."""
     csr = matrix.tocsr()
-    return torch.sparse_csr_tensor(
-        torch.as_tensor(csr.indptr, dtype=torch.int64),
-        torch.as_tensor(csr.indices, dtype=torch.int64),
-        torch.as_tensor(csr.data, dtype=torch.float32),
-        csr.shape,
-        device=device,
-        check_invariants=True,
-    )
+    with warnings.catch_warnings():
+        # Of all that torch's sparse tensors can do, only their product with a matrix is used.
+        warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta")
+        return torch.sparse_csr_tensor(
+            torch.as_tensor(csr.indptr, dtype=torch.int64),
+            torch.as_tensor(csr.indices, dtype=torch.int64),
+            torch.as_tensor(csr.data, dtype=torch.float32),
+            csr.shape,
+            device=device,
+            check_invariants=True,
+        )

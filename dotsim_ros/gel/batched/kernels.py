@@ -65,6 +65,7 @@ def surface(
 def coulomb(
     position: wp.array2d(dtype=wp.vec3),
     area: wp.array2d(dtype=wp.float32),
+    gel: wp.array(dtype=wp.int32),
     field: wp.array(dtype=IndenterField),
     rotation: wp.array(dtype=wp.mat33),
     origin: wp.array(dtype=wp.vec3),
@@ -77,12 +78,14 @@ def coulomb(
     slip: wp.array2d(dtype=wp.vec3),
 ):
     """Write the force on markers [b, m] by Coulomb's law and minus its derivative, and what the
-    friction of the next step starts from, in the indenter's frame."""
+    friction of the next step starts from, in the indenter's frame; gel numbers what all gels have.
+    """
     b, m = wp.tid()
-    turn_back = rotation[b]
-    y = wp.transpose(turn_back) * (position[b, m] - origin[b])
-    d, n, _curvature = indenter_distance(field[b], y)
-    c = law[b]
+    g = gel[b]
+    turn_back = rotation[g]
+    y = wp.transpose(turn_back) * (position[b, m] - origin[g])
+    d, n, _curvature = indenter_distance(field[g], y)
+    c = law[g]
     depth = c.onset - d
     distance[b, m] = d
     elastic_slip = wp.vec3()
