@@ -57,22 +57,19 @@ def frames(_data: Path, _folder: Path) -> dict[str, Any]:
 
 def find_gap(data: Path, folder: Path) -> dict[str, Any]:
     """Return verdict, names and intervals of three data sets."""
-    hidden = Path("data")
-    twin = ("--sensor", hidden / "hidden_17/sensor_a.yaml")
-    open_sets = [data / "measured" / name for name in ("open_none", "open_friction")]
+    hidden, given = Path("data"), data / "measured"
+    open_options = ("--sensor", "sensor_a", "--indenters", given / "sensor_a/indenters")
+    twin = hidden / "hidden_17"
+    hidden_options = ("--sensor", twin / "sensor_a.yaml", "--discrepancy", twin / "discrepancy.npz")
     found = {}
     for measured, options in (
-        *((each, ("--sensor", "sensor_a")) for each in open_sets),
-        (
-            hidden / "hidden_23/set_03",
-            (*twin, "--discrepancy", hidden / "hidden_17/discrepancy.npz"),
-        ),
+        (given / "open_none", open_options),
+        (given / "open_friction", open_options),
+        (hidden / "hidden_23/set_03", hidden_options),
     ):
         file = folder / f"{measured.name}.json"
-        indenters = data / "measured" / "sensor_a" / "indenters"
-        extra = () if (measured / "indenters").is_dir() else ("--indenters", indenters)
         out = ("--out", folder / measured.name, "--json", file)
-        command("find-gap", "--measured", measured, *options, *extra, *out)
+        command("find-gap", "--measured", measured, *options, *out)
         findings = json.loads(file.read_text())
         found[measured.name] = {
             key: findings[key] for key in ("verdict", "named", "alternatives", "candidates")
