@@ -184,7 +184,7 @@ class _Problem:
 
     def stiffness_times(self, moved_m: torch.Tensor) -> torch.Tensor:
         """Return H x (B, K, 3)."""
-        return torch.einsum("bkij,bkj->bki", self._stiffness, moved_m)
+        return torch.matmul(self._stiffness, moved_m[..., None])[..., 0]
 
     def line_search(
         self,
@@ -225,29 +225,27 @@ class _Problem:
             known = basis[:, : k + 1]
             # Twice is enough for orthogonality to the last bits.
             for _ in range(2):
-                share = torch.bmm(known, image[:, :, None])
-                image = image - torch.bmm(share.transpose(1, 2), known)[:, 0]
-                hessenberg[:, : k + 1, k] += share[:, :, 0]
+                share = torch.bmm(image[:, None], known.transpose(1, 2))
+                image = image - torch.bmm(share, known)[:, 0]
+                hessenberg[:, : k + 1, k] += share[:, 0]
             length = image.norm(dim=1)
             hessenberg[:, k + 1, k] = length
             basis[:, k + 1] = image / length.clamp(min=1e-30)[:, None]
             done = k + 1
             if done == KRYLOV or (self.may_stop and done >= 3):
-                share, rest = _least_squares(hessenberg[:, : done + 1, :done], size)
-                if self.may_stop and bool((rest < FORCING * size).all()):
+                q, r = torch.linalg.qr(hessenberg[:, : done + 1, :done], mode="complete")
+                # What is left of e_1, in shares of the right hand side.
+                if self.may_stop and bool((q[:, 0, -1].abs() < FORCING).all()):
                     break
+        share = _least_squares(q, r, size)
         return torch.bmm(share.transpose(1, 2), basis[:, :done]).view(shape)
 
 
-def _least_squares(
-    hessenberg: torch.Tensor, size: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return x (B, k, 1) with the least |size e_1 - hessenberg x|, and these norms (B,)."""
-    q, r = torch.linalg.qr(hessenberg, mode="complete")
+def _least_squares(q: torch.Tensor, r: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
+    """Return x (B, k, 1) with the least |size e_1 - q r x|."""
     turned = size[:, None, None] * q[:, :1].transpose(1, 2)
     diagonal = r.diagonal(dim1=1, dim2=2)
     tiny = 1e-7 * diagonal.abs().amax(dim=1, keepdim=True).clamp(min=1e-30)
     filled = torch.where(diagonal.abs() < tiny, tiny, 0.0)
     square = r[:, :-1] + torch.diag_embed(filled)
-    found = torch.linalg.solve_triangular(square, turned[:, :-1], upper=True)
-    return found, turned[:, -1, 0].abs()
+    return torch.linalg.solve_triangular(square, turned[:, :-1], upper=True)
