@@ -242,6 +242,8 @@ class BatchedGel:
         short = TOUCH_SHARE * self._spacing_m
         longest = torch.where(self._is_touching, LARGEST_MOVE_M, short)
         moves = (way * (1.0 - touch) / longest).ceil().clamp(min=1.0)
+        # A gel that nothing touches in the end is at rest, whatever the way.
+        moves = torch.where(self._touches(target, turn), moves, 1.0)
         for number in range(1, int(moves.max()) + 1):
             share = (touch + (1.0 - touch) * number / moves).clamp(max=1.0)
             between = nearest_rotation(start_turn + share[:, None, None] * (turn - start_turn))
@@ -309,12 +311,16 @@ class BatchedGel:
         distance, _ = self._distance(skin_m, origin_m, rotation)
         return torch.where(self._on_base, torch.inf, distance)
 
+    def _touches(self, origin_m: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+        """Return whether indenters at poses (B, 3), (B, 3, 3) would touch a gel at rest (B,)."""
+        gap = self._skin_distance(self._all_at_rest_m, origin_m, rotation)
+        return gap.amin(dim=1) < ONSET_M
+
     def _substep(
         self, origin_m: torch.Tensor, rotation: torch.Tensor, is_moving: torch.Tensor
     ) -> None:
         """Advance the gels that move to new poses (B, 3), (B, 3, 3) of their indenters."""
-        at_rest = self._skin_distance(self._all_at_rest_m, origin_m, rotation)
-        touches = at_rest.amin(dim=1) < ONSET_M
+        touches = self._touches(origin_m, rotation)
         begins = touches & ~self._is_touching
         fresh = begins[:, None, None]
         here = _to_local(self._skin_m, origin_m, rotation)
