@@ -133,8 +133,8 @@ def reference_presses(
                 continue
             data_set.add(trajectory, indenter, notes, failure=solution.failure)
             for row in compare(specification, skin, indenter, trajectory):
-                iterations = solution.steps[row.frame - 1].iterations
-                rows.append({"trajectory": press.name, "iterations": iterations, **row.figures()})
+                iterations = solution.steps[row["frame"] - 1].iterations
+                rows.append({"trajectory": press.name, "iterations": iterations, **row})
             if solution.failure:
                 failed[press.name] = solution.failure
             print(f"{press.name}: {solution.failure or 'solved'}")
