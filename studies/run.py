@@ -209,7 +209,7 @@ STUDIES: dict[str, Study] = {
         "trajectory.record:trajectory",
         {"clock": "realtime", "settings": ("simulated", "transferred")},
     ),
-    "tumour": Study(40, "tumour.record:tumour"),
+    "tumour": Study(40, "tumour.study:tumour"),
 }
 
 

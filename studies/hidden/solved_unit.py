@@ -28,7 +28,7 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.specification import SensorSpecification
 from studies.hidden.solved_draw import SolvedUnit
-from studies.reference.input_file import StepControl
+from studies.reference.blocks import StepControl
 from studies.reference.mesh import DomeMesh, interpolate_skin, pressed_place
 from studies.reference.press import ReferenceSettings, reference_deck
 from studies.reference.run import CalculixError, Solution, solve

@@ -49,7 +49,7 @@ from studies.real.pad import (
     poses_at,
 )
 from studies.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, disc_section
-from studies.reference.input_file import StepControl
+from studies.reference.blocks import StepControl
 from studies.reference.run import CalculixError, CalculixMissingError, solve_section
 
 CHECKED_FRICTION = 0.2

@@ -19,20 +19,9 @@ from dotsim_ros.geometry.indenter import Indenter, IndenterKind
 from dotsim_ros.geometry.surface import meridian
 from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.specification import ContactSpecification, GelSpecification
+from studies.reference import blocks
+from studies.reference.blocks import MM, StepControl
 from studies.reference.deck import EARLY_M, WEDGE_THICKNESS_M
-from studies.reference.input_file import (
-    MM,
-    StepControl,
-    contact_lines,
-    element_lines,
-    law_lines,
-    matter_lines,
-    node_lines,
-    rigid_lines,
-    set_lines,
-    step_lines,
-    surface_lines,
-)
 from studies.reference.mesh import growing_marks, halved_marks
 
 WEDGE_COUNT = 180
@@ -219,23 +208,23 @@ class AxisymmetricDeck:
         start = local.reshape(-1, 2) + np.array([0.0, self.apex_m - self.depth_m[0]])
         layer, along = np.array(CORNERS_AND_MIDDLES).T[::-1]
         begin = np.arange(0, per_layer - 2, 2)[:, None]
-        yield from node_lines("GEL", 1, section.node_m)
-        yield from node_lines("INDENTER", first, start)
-        yield from element_lines("CAX8R", "GEL", 1, section.element + 1)
+        yield from blocks.node_lines("GEL", 1, section.node_m)
+        yield from blocks.node_lines("INDENTER", first, start)
+        yield from blocks.element_lines("CAX8R", "GEL", 1, section.element + 1)
         elements = first + begin + along + layer * per_layer
-        yield from element_lines("CAX8R", "INDENTER", len(section.element) + 1, elements)
-        yield from set_lines("BONDED", section.bonded + 1)
-        yield from set_lines("AXIS", section.on_axis + 1)
-        yield from set_lines("SKIN", section.skin_node + 1)
-        yield from surface_lines("SKIN_FACES", section.skin_element + 1, "S3")
-        yield from surface_lines("INDENTER_FACES", ["INDENTER"], "S1")
-        yield from matter_lines("SILICONE", law_lines(self.law), "GEL")
-        yield from rigid_lines("INDENTER")
-        yield from contact_lines(self.law, self.contact)
+        yield from blocks.element_lines("CAX8R", "INDENTER", len(section.element) + 1, elements)
+        yield from blocks.set_lines("BONDED", section.bonded + 1)
+        yield from blocks.set_lines("AXIS", section.on_axis + 1)
+        yield from blocks.set_lines("SKIN", section.skin_node + 1)
+        yield from blocks.surface_lines("SKIN_FACES", section.skin_element + 1, "S3")
+        yield from blocks.surface_lines("INDENTER_FACES", ["INDENTER"], "S1")
+        yield from blocks.matter_lines("SILICONE", blocks.law_lines(self.law), "GEL")
+        yield from blocks.rigid_lines("INDENTER")
+        yield from blocks.contact_lines(self.law, self.contact)
         yield from ("*BOUNDARY", "BONDED, 1, 2", "AXIS, 1, 1", "INDENTER, 1, 1")
         control = self.settings.control
         for depth_m in self.depth_m[1:]:
-            yield from step_lines(
+            yield from blocks.step_lines(
                 control.count,
                 control.procedure_lines(),
                 [f"INDENTER, 2, 2, {-MM * (depth_m - self.depth_m[0]):.9e}"],

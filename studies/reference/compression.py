@@ -16,20 +16,9 @@ import numpy as np
 
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
 from dotsim_ros.io.arrays import FloatArray
+from studies.reference import blocks
 from studies.reference.axisymmetric import WEDGE_COUNT, section_of
-from studies.reference.input_file import (
-    MEGAPASCAL,
-    MM,
-    StepControl,
-    element_lines,
-    law_lines,
-    matter_lines,
-    node_lines,
-    rigid_lines,
-    set_lines,
-    step_lines,
-    surface_lines,
-)
+from studies.reference.blocks import MEGAPASCAL, MM, StepControl
 from studies.reference.mesh import halved_marks
 from studies.reference.run import run
 
@@ -84,20 +73,20 @@ class Compression:
         section = section_of(self.place_m(), bonded_side=False)
         plate = section_of(self.plate_m(), bonded_side=False)
         at, count = section.node_m, len(section.element)
-        yield from node_lines("GEL", 1, at)
-        yield from node_lines("PLATE", len(at) + 1, plate.node_m)
-        yield from element_lines("CAX8R", "GEL", 1, section.element + 1)
-        yield from element_lines("CAX8R", "PLATE", count + 1, plate.element + len(at) + 1)
-        yield from set_lines("TOP", section.skin_node + 1)
-        yield from set_lines("MIDDLE", section.bonded + 1)
-        yield from set_lines("AXIS", np.flatnonzero(at[:, 0] < 1e-12) + 1)
+        yield from blocks.node_lines("GEL", 1, at)
+        yield from blocks.node_lines("PLATE", len(at) + 1, plate.node_m)
+        yield from blocks.element_lines("CAX8R", "GEL", 1, section.element + 1)
+        yield from blocks.element_lines("CAX8R", "PLATE", count + 1, plate.element + len(at) + 1)
+        yield from blocks.set_lines("TOP", section.skin_node + 1)
+        yield from blocks.set_lines("MIDDLE", section.bonded + 1)
+        yield from blocks.set_lines("AXIS", np.flatnonzero(at[:, 0] < 1e-12) + 1)
         yield from ("*NSET, NSET=HELD", "TOP, PLATE")
         # The second edge of an element in the outermost column is the side's.
         outermost = count // len(section.skin_element)
-        yield from surface_lines("SIDE", range(count - outermost + 1, count + 1), "S2")
-        yield from surface_lines("PLATE_FACE", ["PLATE"], "S1")
-        yield from matter_lines("SILICONE", law_lines(self.law), "GEL")
-        yield from rigid_lines("PLATE")
+        yield from blocks.surface_lines("SIDE", range(count - outermost + 1, count + 1), "S2")
+        yield from blocks.surface_lines("PLATE_FACE", ["PLATE"], "S1")
+        yield from blocks.matter_lines("SILICONE", blocks.law_lines(self.law), "GEL")
+        yield from blocks.rigid_lines("PLATE")
         youngs_modulus, _ = small_strain_moduli_pa(self.law)
         yield "*SURFACE INTERACTION, NAME=TOUCH"
         yield "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR"
@@ -108,7 +97,7 @@ class Compression:
         if self.is_stuck:
             yield "TOP, 1, 1"
         for share in self.share:
-            yield from step_lines(
+            yield from blocks.step_lines(
                 self.control.count,
                 self.control.procedure_lines(),
                 [f"HELD, 2, 2, {-0.5 * MM * share * self.height_m:.9e}"],

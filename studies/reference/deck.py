@@ -17,19 +17,8 @@ from dotsim_ros.geometry.closed_mesh import IndenterMesh
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import ContactSpecification
-from studies.reference.input_file import (
-    MM,
-    StepControl,
-    contact_lines,
-    element_lines,
-    law_lines,
-    matter_lines,
-    node_lines,
-    rigid_lines,
-    set_lines,
-    step_lines,
-    surface_lines,
-)
+from studies.reference import blocks
+from studies.reference.blocks import MM, StepControl
 from studies.reference.mesh import DomeMesh
 
 EARLY_M = ONSET_M - 0.5 * SMOOTHING_M
@@ -98,22 +87,22 @@ class Deck:
         wedge = np.concatenate(
             [self.surface.triangles, self.surface.triangles + len(local) // 2], 1
         )
-        yield from node_lines("GEL", 1, gel.node_m)
-        yield from node_lines("INDENTER", first, start)
-        yield from element_lines("C3D20R", "GEL", 1, gel.element + 1)
-        yield from element_lines("C3D6", "INDENTER", len(gel.element) + 1, wedge + first)
-        yield from set_lines("BONDED", gel.bonded + 1)
-        yield from set_lines("SKIN", np.unique(gel.skin_face) + 1)
+        yield from blocks.node_lines("GEL", 1, gel.node_m)
+        yield from blocks.node_lines("INDENTER", first, start)
+        yield from blocks.element_lines("C3D20R", "GEL", 1, gel.element + 1)
+        yield from blocks.element_lines("C3D6", "INDENTER", len(gel.element) + 1, wedge + first)
+        yield from blocks.set_lines("BONDED", gel.bonded + 1)
+        yield from blocks.set_lines("SKIN", np.unique(gel.skin_face) + 1)
         # The second face of a brick and of a wedge is that of their outer nodes.
-        yield from surface_lines("SKIN_FACES", gel.skin_element + 1, "S2")
-        yield from surface_lines("INDENTER_FACES", ["INDENTER"], "S2")
+        yield from blocks.surface_lines("SKIN_FACES", gel.skin_element + 1, "S2")
+        yield from blocks.surface_lines("INDENTER_FACES", ["INDENTER"], "S2")
         yield from self.matter_lines()
-        yield from rigid_lines("INDENTER")
-        yield from contact_lines(self.law, self.contact)
+        yield from blocks.rigid_lines("INDENTER")
+        yield from blocks.contact_lines(self.law, self.contact)
         yield from self.support_lines()
         for index, (control, pose) in enumerate(zip(self.controls, self.poses[1:], strict=True)):
             moved_mm = (MM * (pose.apply(local) - start)).tolist()
-            yield from step_lines(
+            yield from blocks.step_lines(
                 control.count,
                 self.procedure_lines(index),
                 (
@@ -126,7 +115,7 @@ class Deck:
 
     def matter_lines(self) -> Iterator[str]:
         """Yield what the gel consists of."""
-        yield from matter_lines("SILICONE", law_lines(self.law), "GEL")
+        yield from blocks.matter_lines("SILICONE", blocks.law_lines(self.law), "GEL")
 
     def support_lines(self) -> Iterator[str]:
         """Yield what holds the gel."""

@@ -18,8 +18,8 @@ import numpy as np
 
 from dotsim_ros.io.arrays import FloatArray
 from studies.reference.axisymmetric import WEDGE_COUNT, AxisymmetricDeck
+from studies.reference.blocks import MM
 from studies.reference.deck import Deck
-from studies.reference.input_file import MM
 
 EXECUTABLES = ("ccx", "ccx_2.21", "ccx_2.22", "ccx_2.20")
 INSTALL = "apt-get install calculix-ccx"

@@ -19,18 +19,9 @@ import numpy as np
 
 from dotsim_ros.gel.material import small_strain_moduli_pa
 from dotsim_ros.io.arrays import IntArray
+from studies.reference import blocks
+from studies.reference.blocks import MEGAPASCAL, MM, NEGLIGIBLE
 from studies.reference.deck import Deck
-from studies.reference.input_file import (
-    MEGAPASCAL,
-    MM,
-    NEGLIGIBLE,
-    element_lines,
-    law_lines,
-    matter_lines,
-    node_lines,
-    numbers_line,
-    set_lines,
-)
 
 LARGEST_CREEP_CHANGE = 1.0
 """CETOL: so much that it never sets an increment."""
@@ -99,7 +90,7 @@ class OgdenStiffening:
         yield "*HYPERELASTIC, OGDEN, N=3"
         # A line holds eight constants.
         for part in (constants[:8], constants[8:]):
-            yield numbers_line(part)
+            yield blocks.numbers_line(part)
 
 
 @dataclass(frozen=True)
@@ -162,25 +153,25 @@ class UnitDeck(Deck):
         """Yield what the gel consists of."""
         young_pa, bulk_pa = small_strain_moduli_pa(self.law)
         poisson = 0.5 - young_pa / (6.0 * bulk_pa)
-        yield from matter_lines("SILICONE", self._gel_lines(self.slow_share), "GEL")
+        yield from blocks.matter_lines("SILICONE", self._gel_lines(self.slow_share), "GEL")
         count = len(self.gel.element) + len(self.surface.triangles)
         for number, branch in enumerate(self.branches, start=1):
             name, e = f"BRANCH{number}", MEGAPASCAL * young_pa * branch.share
-            yield from element_lines("C3D20R", name, count + 1, self.gel.element + 1)
+            yield from blocks.element_lines("C3D20R", name, count + 1, self.gel.element + 1)
             count += len(self.gel.element)
             # The strain rate is A times the von Mises stress: 1 / time is 3 A times the modulus.
             rate = 2.0 * (1.0 + poisson) / (3.0 * e * branch.time_s)
-            elastic = ("*ELASTIC", numbers_line([e, poisson]))
+            elastic = ("*ELASTIC", blocks.numbers_line([e, poisson]))
             creep = ("*CREEP, LAW=NORTON", f"{rate:.9e}, 1.0, 0.0")
-            yield from matter_lines(f"OF_{name}", (*elastic, *creep), name)
+            yield from blocks.matter_lines(f"OF_{name}", (*elastic, *creep), name)
         if self.stiff is not None:
             # Its section takes the place of the one before.
-            yield from set_lines("STIFF", self.stiff.element + 1, "ELSET")
-            yield from matter_lines("STIFF", self._gel_lines(self.stiff.ratio), "STIFF")
+            yield from blocks.set_lines("STIFF", self.stiff.element + 1, "ELSET")
+            yield from blocks.matter_lines("STIFF", self._gel_lines(self.stiff.ratio), "STIFF")
 
     def _gel_lines(self, share: float) -> Iterator[str]:
         if self.stiffening is None:
-            yield from law_lines(self.law, share)
+            yield from blocks.law_lines(self.law, share)
             return
         c10, c01, _, _, bulk = self.law.coefficients_pa().tolist()
         yield from self.stiffening.lines(2.0 * share * (c10 + c01), share * bulk)
@@ -189,7 +180,7 @@ class UnitDeck(Deck):
         """Yield what holds the gel."""
         slips = set(self.slipping.tolist())
         held = [node for node in self.gel.bonded.tolist() if node not in slips]
-        yield from set_lines("HELD", [node + 1 for node in held])
+        yield from blocks.set_lines("HELD", [node + 1 for node in held])
         if len(self.slipping):
             yield "*EQUATION"
             for node in self.slipping.tolist():
@@ -200,7 +191,7 @@ class UnitDeck(Deck):
             return
         base = self.gel_node_count + 2 * len(self.surface.vertices_m) + 1
         springs = len(self.gel.element) * (1 + len(self.branches)) + len(self.surface.triangles)
-        yield from node_lines("BASE", base, np.zeros((1, 3)))
+        yield from blocks.node_lines("BASE", base, np.zeros((1, 3)))
         for axis in (1, 2, 3):
             yield f"*ELEMENT, TYPE=SPRING1, ELSET=SPRING{axis}"
             yield f"{springs + axis}, {base}"
@@ -230,4 +221,4 @@ class UnitDeck(Deck):
         yield f"*VISCO, CETOL={LARGEST_CREEP_CHANGE}"
         longest = min(1.0, CREEP_INCREMENT_S / duration)
         increments = (min(c.first, longest), 1.0, c.smallest, min(c.largest, longest))
-        yield numbers_line(share * duration for share in increments)
+        yield blocks.numbers_line(share * duration for share in increments)

@@ -18,18 +18,8 @@ from dotsim_ros.gel.material import ElasticLaw, NeoHookean
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.specification import ContactSpecification
-from studies.reference.input_file import (
-    MM,
-    StepControl,
-    contact_lines,
-    element_lines,
-    law_lines,
-    matter_lines,
-    node_lines,
-    set_lines,
-    step_lines,
-    surface_lines,
-)
+from studies.reference import blocks
+from studies.reference.blocks import MM, StepControl
 from studies.reference.mesh import DomeMesh
 from studies.tumour.pair.layer import Insert, LayerSpecification
 
@@ -162,24 +152,24 @@ class LayerDeck:
         first, elements = len(gel.node_m) + 1, len(gel.element)
         start = self.poses[0].apply(layer.node_m)
         in_plane = np.abs(np.concatenate([gel.node_m[:, 1], start[:, 1]])) < ON_PLANE_M
-        yield from node_lines("GEL", 1, gel.node_m)
-        yield from node_lines("LAYER", first, start)
-        yield from element_lines("C3D20R", "GEL", 1, gel.element + 1)
-        yield from element_lines("C3D20R", "LAYER", elements + 1, layer.element + first)
-        yield from set_lines("BONDED", gel.bonded + 1)
-        yield from set_lines("SKIN", np.unique(gel.skin_face) + 1)
-        yield from set_lines("HELD", layer.bonded + first)
-        yield from set_lines("PLANE", np.flatnonzero(in_plane) + 1)
-        yield from surface_lines("SKIN_FACES", gel.skin_element + 1, "S2")
+        yield from blocks.node_lines("GEL", 1, gel.node_m)
+        yield from blocks.node_lines("LAYER", first, start)
+        yield from blocks.element_lines("C3D20R", "GEL", 1, gel.element + 1)
+        yield from blocks.element_lines("C3D20R", "LAYER", elements + 1, layer.element + first)
+        yield from blocks.set_lines("BONDED", gel.bonded + 1)
+        yield from blocks.set_lines("SKIN", np.unique(gel.skin_face) + 1)
+        yield from blocks.set_lines("HELD", layer.bonded + first)
+        yield from blocks.set_lines("PLANE", np.flatnonzero(in_plane) + 1)
+        yield from blocks.surface_lines("SKIN_FACES", gel.skin_element + 1, "S2")
         # The contact is that of an indenter, in whose place the layer is.
-        yield from surface_lines("INDENTER_FACES", layer.top_element + elements + 1, "S2")
-        yield from matter_lines("OF_GEL", law_lines(self.gel_law), "GEL")
-        yield from matter_lines("OF_LAYER", law_lines(self.layer_law), "LAYER")
-        yield from contact_lines(self.layer_law, self.contact)
+        yield from blocks.surface_lines("INDENTER_FACES", layer.top_element + elements + 1, "S2")
+        yield from blocks.matter_lines("OF_GEL", blocks.law_lines(self.gel_law), "GEL")
+        yield from blocks.matter_lines("OF_LAYER", blocks.law_lines(self.layer_law), "LAYER")
+        yield from blocks.contact_lines(self.layer_law, self.contact)
         yield from ("*BOUNDARY", "BONDED, 1, 3", "PLANE, 2, 2")
         for pose in self.poses[1:]:
             moved_mm = (MM * (pose.position_m - self.poses[0].position_m)).tolist()
-            yield from step_lines(
+            yield from blocks.step_lines(
                 self.control.count,
                 self.control.procedure_lines(),
                 [f"HELD, {axis}, {axis}, {mm:.9e}" for axis, mm in enumerate(moved_mm, start=1)],

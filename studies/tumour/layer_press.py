@@ -15,7 +15,7 @@ from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import ContactSpecification, SensorSpecification
-from studies.reference.input_file import MM, StepControl
+from studies.reference.blocks import MM, StepControl
 from studies.reference.mesh import MeshedPress, dome_mesh, interpolate_skin
 from studies.reference.run import run
 from studies.tumour.layer_deck import LayerDeck, half_dome, half_layer_mesh

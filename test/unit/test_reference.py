@@ -27,9 +27,9 @@ from studies.reference.axisymmetric import (
     AxisymmetricSettings,
     dome_section,
 )
+from studies.reference.blocks import StepControl
 from studies.reference.data_set import read_solved_presses
 from studies.reference.deck import EARLY_M, Deck
-from studies.reference.input_file import StepControl
 from studies.reference.mesh import (
     MeshedPress,
     dome_mesh,

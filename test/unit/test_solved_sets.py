@@ -54,7 +54,7 @@ from studies.hidden.solved_draw import (
 )
 from studies.hidden.solved_sets import SeriesPlan, make_sets, read_series
 from studies.hidden.solved_unit import Protocol, protocols
-from studies.reference.input_file import StepControl
+from studies.reference.blocks import StepControl
 from studies.reference.press import ReferenceSettings, press_poses, reference_deck
 from studies.reference.run import solve
 from studies.reference.unit_deck import MaxwellBranch, OgdenStiffening, StiffPart, UnitDeck
