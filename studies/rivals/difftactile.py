@@ -400,7 +400,7 @@ class DiffTactile:
     name: str = "difftactile"
 
     def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
-        """Return skin and force at the poses of a press; see `measured.presses.Model`.
+        """Return skin and force at the poses of a press; see `studies.geometry.scores.Model`.
 
         Raises:
             DiffTactileDivergenceError: the explicit steps have left every bound.

@@ -38,7 +38,7 @@ class Tacto:
     name: str = "tacto"
 
     def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
-        """Return skin and force at the poses of a press; see `measured.presses.Model`."""
+        """Return skin and force at the poses of a press; see `studies.geometry.scores.Model`."""
         depth = clip_depths(skin, press.poses, indenter)
         force = self.stiffness_n_m * penetration_vectors(skin, depth)
         return Prediction(clipped_skin(skin, depth), force)

@@ -145,7 +145,7 @@ class Taxim:
     name: str = "taxim"
 
     def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
-        """Return skin and force at the poses of a press; see `measured.presses.Model`."""
+        """Return skin and force at the poses of a press; see `studies.geometry.scores.Model`."""
         depth = clip_depths(skin, press.poses, indenter)
         smooth = smoothed_depths(skin_smoother(skin), depth, self.pyramid)
         force = self.stiffness_n_m * penetration_vectors(skin, depth)

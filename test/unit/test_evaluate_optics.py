@@ -27,10 +27,10 @@ from studies.optics.judge import (
     summarize,
 )
 from studies.optics.models import FitSettings, factory_of
-from studies.optics.report import evaluate_optics, shown_frames
 from studies.optics.rows import RowMaker
 from studies.optics.sheet import write_sheets
 from studies.optics.split import OpticalSplit
+from studies.optics.study import evaluate_optics, shown_frames
 
 SIZE = (24, 32)
 DEPTHS_M = np.array([-0.0001, 0.001, 0.0021, 0.0032])
@@ -92,9 +92,6 @@ def maker(folder: Path, **settings: Any) -> RowMaker:
     return RowMaker(DATA, no_clipping, brighter, folder, FitSettings(**settings))
 
 
-# Frames
-
-
 # Scores
 
 
@@ -133,7 +130,7 @@ def test_images_of_another_size_are_refused() -> None:
         score_frames(Small(), PRESSES, [("1_shape_0", 2)], REST)
 
 
-def test_ceilings_are_told_from_the_data() -> None:
+def test_ceilings_come_from_the_data() -> None:
     random = np.random.default_rng(3)
     grey = np.full((5, 100, 100, 3), 120.0)
     idle = np.rint(grey + 2.0 * random.standard_normal(grey.shape)).astype(np.uint8)
@@ -158,13 +155,14 @@ def test_one_rendering_is_noisier_than_its_mean() -> None:
 # Rows
 
 
-def test_a_row_is_made_once(tmp_path: Path) -> None:
+def test_a_row_is_made_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     split = splits_of(DATA)["easy"]["by_trajectory"]
     shown = shown_frames(split, PRESSES, seed=0)
-    lines: list[str] = []
     first = maker(tmp_path).make("carried", split, shown)
-    again = replace(maker(tmp_path), progress=lines.append).make("carried", split, shown)
-    assert lines == [f"easy, by_trajectory, carried: made before, on {first.date}"]
+    capsys.readouterr()
+    again = maker(tmp_path).make("carried", split, shown)
+    made_before = f"easy, by_trajectory, carried: made before, on {first.date}\n"
+    assert capsys.readouterr().out == made_before
     assert again.scores == first.scores
     assert list(again.images) == list(first.images) == shown
     for key, image in first.images.items():
@@ -172,7 +170,7 @@ def test_a_row_is_made_once(tmp_path: Path) -> None:
         assert np.array_equal(again.images[key], image)
 
 
-def test_a_broken_row_is_made_anew(tmp_path: Path) -> None:
+def test_a_broken_row_is_made_again(tmp_path: Path) -> None:
     split = splits_of(DATA)["easy"]["by_frame"]
     first = maker(tmp_path).make("idle", split, [])
     (path,) = tmp_path.glob("*.json")

@@ -5,24 +5,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import pytest
 
-from studies.optics.split import LEVELS, WAYS, optical_splits
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A trajectory's name, indenter and length."""
-
-    name: str
-    indenter: str
-    frame_count: int
-
+from studies.optics.split import LEVELS, WAYS, Recorded, optical_splits
 
 RECORDINGS = [
-    Recording(f"{number}_shape_{k}", f"{number}_shape", 6 + k)
+    Recorded(f"{number}_shape_{k}", f"{number}_shape", 6 + k)
     for number in range(1, 7)
     for k in range(4)
 ]
@@ -69,5 +57,5 @@ def test_neighbours_of_judged_frames_are_fitted_on_by_frame() -> None:
 
 
 def test_a_longer_trajectory_of_another_level_changes_no_draw() -> None:
-    more = [*RECORDINGS, Recording("2_shape_9", "2_shape", 5)]
+    more = [*RECORDINGS, Recorded("2_shape_9", "2_shape", 5)]
     assert optical_splits(more)["easy"] == optical_splits(RECORDINGS)["easy"]
