@@ -11,7 +11,7 @@ neo-Hookean gel, since at equilibrium the energy does not depend on a small chan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,7 +84,6 @@ def sticking(
     share: FloatArray = SHARE,
     *,
     spacing_m: float = SPACING_M,
-    progress: Callable[[str], None] = lambda _: None,
 ) -> Ends:
     """Return plates that hold the gel, as far as CalculiX solves them; minutes.
 
@@ -94,7 +93,7 @@ def sticking(
     """
 
     def force(constant: str, size: float) -> FloatArray:
-        progress(f"a cylinder that sticks: {constant} {size:g}")
+        print(f"a cylinder that sticks: {constant} {size:g}")
         law = _law(constant, size)
         problem = Compression(RADIUS_M, HEIGHT_M, law, share.tolist(), spacing_m)
         return compressed(problem, time_limit_s=SOLVE_LIMIT_S).force_n / SOLVED_C10_PA
