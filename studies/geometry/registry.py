@@ -79,7 +79,7 @@ def factories_of(
         if not trials:
             gel = difftactile.DynamicGel(difftactile.Shell().mesh(skin), skin)
             trials.append(difftactile.FitTrials(gel, indenters))
-        return difftactile.fit(train, indenters, skin, trials=trials[0])
+        return difftactile.fit(train, trials[0])
 
     makers: dict[str, Factory] = {
         "ours": ours,

@@ -80,10 +80,10 @@ OTHERS = (
 )
 
 
-def two_bumps(radius_m: float = 2.0e-3, distance_m: float = 5.2e-3) -> Indenter:
+def two_bumps() -> Indenter:
     """Return two balls side by side along x."""
-    ball = indenter_surface(sphere(radius_m), 0.15e-3)
-    aside = np.array([0.5 * distance_m, 0.0, 0.0])
+    ball = indenter_surface(sphere(2.0e-3), 0.15e-3)
+    aside = np.array([2.6e-3, 0.0, 0.0])
     vertices = np.concatenate([ball.vertices_m - aside, ball.vertices_m + aside])
     triangles = np.concatenate([ball.triangles, ball.triangles + len(ball.vertices_m)])
     mesh = IndenterMesh(vertices, triangles.astype(np.int32))

@@ -70,9 +70,9 @@ class OgdenStiffening:
     exponent: float = 6.0
 
     @classmethod
-    def like(cls, c20_ratio: float, exponent: float = 6.0) -> OgdenStiffening:
+    def like(cls, c20_ratio: float) -> OgdenStiffening:
         """Return the law that is to fourth order Yeoh's with a C20 of so many C10."""
-        return cls(48.0 * c20_ratio / (exponent**2 - 4.0), exponent)
+        return cls(48.0 * c20_ratio / (cls.exponent**2 - 4.0))
 
     def __post_init__(self) -> None:
         if not (0.0 < self.share < 1.0 and self.exponent > 2.0):

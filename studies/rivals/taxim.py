@@ -37,7 +37,6 @@ from studies.rivals.penalty_force import fit_stiffness, penetration_vectors
 from studies.rivals.training import (
     MeasuredSurface,
     check_training,
-    indenter_of,
     measured_surface,
     surface_rms_m,
 )
@@ -171,10 +170,10 @@ def fit(
         seed: of the frames and of the search.
 
     Raises:
-        ValueError: no press, one without skin or force, an unknown indenter, or no contact.
+        ValueError: no press, one without skin or force, or no contact.
     """
     check_training(train)
-    depths = [clip_depths(skin, p.poses, indenter_of(p, indenters)) for p in train]
+    depths = [clip_depths(skin, p.poses, indenters[p.indenter]) for p in train]
     depth = np.concatenate(depths)
     force = np.concatenate([p.force_n for p in train if p.force_n is not None])
     skins = np.concatenate([p.skin_position_m for p in train if p.skin_position_m is not None])

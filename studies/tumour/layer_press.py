@@ -83,8 +83,6 @@ def solve_layer_press(
     insert: Insert,
     poses: Sequence[Pose],
     settings: LayerPressSettings,
-    *,
-    time_limit_s: float | None = None,
 ) -> SolvedLayerPress:
     """Run CalculiX on a press.
 
@@ -95,7 +93,6 @@ def solve_layer_press(
         poses: of the layer's frame in the base frame, symmetric about y = 0; the first without
             contact.
         settings: resolution, effort, friction.
-        time_limit_s: it is ended after this long, and what it has solved by then is returned.
 
     Raises:
         CalculixMissingError: it is not installed.
@@ -123,7 +120,7 @@ def solve_layer_press(
     deck = LayerDeck(
         half_dome(whole), mesh, poses, law_of(sensor.material), law, contact, settings.control
     )
-    printed = run(deck.text(), held="HELD", time_limit_s=time_limit_s)
+    printed = run(deck.text(), held="HELD")
     failure, count = printed.failure(len(poses) - 1), len(printed.held)
     displacement = np.zeros((count, len(deck.gel.node_m), 3))
     force = np.zeros((count, 3))

@@ -155,7 +155,7 @@ def test_a_gel_that_blows_up_is_told(gel: DynamicGel, monkeypatch: pytest.Monkey
 
 def test_a_known_gel_is_told_from_noisy_measurements(gel: DynamicGel, skin: SkinMesh) -> None:
     known = replace(difftactile.START, poisson_ratio=0.43, friction=0.2)
-    truth = DiffTactile(known, 2.5e5, SHELL, gel)
+    truth = DiffTactile(known, 2.5e5, gel)
     # A press and a slide: without sliding, nothing tells the friction.
     poses = [
         Pose(np.array([side, 0.0, RADIUS_M - depth]))
@@ -172,8 +172,6 @@ def test_a_known_gel_is_told_from_noisy_measurements(gel: DynamicGel, skin: Skin
         force_n=seen.force_n + rng.normal(scale=0.015, size=seen.force_n.shape),
     )
     grid = {"poisson_ratio": (0.38, 0.43, 0.48), "friction": (0.0, 0.2, 0.8)}
-    fitted = difftactile.fit(
-        [measured], {"ball": BALL}, skin, grid=grid, trials=FitTrials(gel, {"ball": BALL})
-    )
+    fitted = difftactile.fit([measured], FitTrials(gel, {"ball": BALL}), grid=grid)
     assert fitted.constants == truth.constants
     assert fitted.youngs_modulus_pa == pytest.approx(2.5e5, rel=1e-2)
