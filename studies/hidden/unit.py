@@ -26,7 +26,7 @@ from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 from studies.hidden.reality import Truth, answer_of
-from studies.reference.data_set import FINE_STEP_M
+from studies.reference.results import FINE_STEP_M
 
 UNIT_STIFFNESS = 0.03
 """Units differ by so much, one deviation."""

@@ -40,9 +40,8 @@ from dotsim_ros.specification import (
 )
 from studies.reference.axisymmetric import AxisymmetricSettings
 from studies.reference.comparison import compare
-from studies.reference.data_set import FINE_STEP_M, SolvedPress, read_solved_presses
 from studies.reference.press import ReferencePress, ReferenceSettings
-from studies.reference.results import solved_press
+from studies.reference.results import FINE_STEP_M, SolvedPress, read_solved_presses, solved_press
 from studies.reference.run import CalculixError, calculix_version
 
 TARGET_SKIN_RMS_MM = 0.08
