@@ -10,11 +10,29 @@ import os
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
 
 from dotsim_ros.io.files import cache_directory
+from fuzz import commands, files, measured, messages, networks, sensors, writing
 from fuzz.run import TargetSummary, attempt, limit_growth, prepare_in, run_target
-from fuzz.targets import TARGETS
+
+TARGETS = {
+    target.name: target
+    for target in (
+        *sensors.TARGETS,
+        *files.TARGETS,
+        *measured.TARGETS,
+        *messages.TARGETS,
+        *networks.TARGETS,
+        *commands.TARGETS,
+        *writing.TARGETS,
+    )
+}
+if find_spec("rclpy") is not None:
+    from fuzz import parameters
+
+    TARGETS |= {target.name: target for target in parameters.TARGETS}
 
 WORKER_COUNT = 2
 CASES_BEYOND = 10_000_000

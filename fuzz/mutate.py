@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 import struct
-from collections.abc import Sequence
 from random import Random
 from typing import Any
 
@@ -110,16 +109,16 @@ def spoilt_text(text: str, random: Random) -> str:
     return "\n".join(lines)
 
 
-def spoilt_tree(tree: Any, random: Random, *, values: Sequence[Any] = HOSTILE) -> Any:
+def spoilt_tree(tree: Any, random: Random) -> Any:
     """Return nested mappings and lists of which one to three leaves, names or branches differ."""
     spoilt = copy.deepcopy(tree)
     for _ in range(random.choice((1, 1, 2, 3))):
         holder, key = _place(spoilt, random)
         if holder is None:
-            return random.choice(values)
+            return random.choice(HOSTILE)
         kind = random.randrange(6)
         if kind <= 2:
-            holder[key] = copy.deepcopy(random.choice(values))
+            holder[key] = copy.deepcopy(random.choice(HOSTILE))
         elif kind == 3 and isinstance(holder[key], int | float):
             holder[key] = holder[key] * random.choice((-1, 1000, 0.001, 1e9, 0))
         elif kind == 4:

@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from studies.optics.split import UNSEEN_RANKS, FrameKey, Recorded
+from studies.optics.split import FrameKey, Recorded, frames_of, sorted_with_unseen
 
 DomainName = Literal["in_domain", "out_of_domain", "all_six"]
 DOMAINS: tuple[DomainName, ...] = get_args(DomainName)
@@ -56,21 +56,15 @@ def domain_of(name: str, trajectories: Iterable[Recorded]) -> Domain:
         trajectories: those that hold images.
 
     Raises:
-        ValueError: fewer than three indenters, or one with a single trajectory.
+        ValueError: as `sorted_with_unseen`, or an indenter with a single trajectory.
     """
-    ordered = sorted(trajectories, key=lambda trajectory: trajectory.name)
-    indenters = sorted({trajectory.indenter for trajectory in ordered})
-    if len(indenters) <= max(UNSEEN_RANKS):
-        raise ValueError(
-            "classification leaves two indenters out, so three are needed at least; got "
-            f"{', '.join(indenters) or 'none'}"
-        )
-    two = tuple(indenters[rank] for rank in UNSEEN_RANKS)
+    ordered, two = sorted_with_unseen(trajectories)
     if name == "out_of_domain":
         apart = [trajectory for trajectory in ordered if trajectory.indenter in two]
         others = [trajectory for trajectory in ordered if trajectory.indenter not in two]
-        return Domain(name, two, (Fold(_frames(others), _frames(apart)),))
-    classes = tuple(indenters) if name == "all_six" else two
+        return Domain(name, two, (Fold(frames_of(others), frames_of(apart)),))
+    everything = tuple(sorted({trajectory.indenter for trajectory in ordered}))
+    classes = everything if name == "all_six" else two
     part_of: dict[str, int] = {}
     for indenter in classes:
         own = [trajectory.name for trajectory in ordered if trajectory.indenter == indenter]
@@ -83,13 +77,9 @@ def domain_of(name: str, trajectories: Iterable[Recorded]) -> Domain:
         classes,
         tuple(
             Fold(
-                _frames([t for t in members if part_of[t.name] != part]),
-                _frames([t for t in members if part_of[t.name] == part]),
+                frames_of([t for t in members if part_of[t.name] != part]),
+                frames_of([t for t in members if part_of[t.name] == part]),
             )
             for part in range(FOLDS)
         ),
     )
-
-
-def _frames(trajectories: Sequence[Recorded]) -> tuple[FrameKey, ...]:
-    return tuple((t.name, frame) for t in trajectories for frame in range(t.frame_count))

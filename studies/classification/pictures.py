@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dotsim_ros.io.files import whole_file
-from studies.optics.names import BOUND
+from studies.optics.models import BOUND
 
 SHOWN = ("ours", "paper", BOUND)
 PANEL_IN = 2.9

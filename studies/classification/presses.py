@@ -21,7 +21,7 @@ from dotsim_ros.io.cache import PHYSICS, content_key, load_arrays, store_arrays
 from dotsim_ros.io.documents import ArrayForm
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError, follow
-from dotsim_ros.twin.footage import FilmedPress, Progress
+from dotsim_ros.twin.footage import FilmedPress
 
 FRAME_S = 0.1
 FIRST_DEPTH_M = 0.3e-3
@@ -37,7 +37,7 @@ class PressPlan:
         count: presses of each indenter.
         frames: of each press.
         deepest_m: where each ends, the same for every indenter: how deep it was pressed must not
-            tell which one it is.
+            show which one it is.
         widest_rad: farthest from the dome's axis.
         tilt_rad: largest angle between the indenter's axis and the skin's normal.
         sliding_share: of the presses that end with a slide.
@@ -70,11 +70,10 @@ def simulated_presses(
     image_shape: tuple[int, int],
     *,
     cache: Path,
-    progress: Progress,
 ) -> tuple[list[FilmedPress], list[list[Pose]]]:
     """Return presses by a sensor's gel, and the poses of each, with black images as the measured.
 
-    A press that the gel refuses is left out, and told.
+    A press that the gel refuses is left out, and reported.
 
     Args:
         sensor: whose gel is pressed.
@@ -82,18 +81,15 @@ def simulated_presses(
         plan: how.
         image_shape: height and width of the images.
         cache: folder of the skins computed before.
-        progress: called with a line that says what is being done.
     """
     skin = skin_of(sensor.gel)
     pressed: list[FilmedPress] = []
     poses_of: list[list[Pose]] = []
     for rank, (name, indenter) in enumerate(sorted(indenters.items())):
-        drawn, skins = pressed_skins(
-            sensor, name, indenter, rank, plan, cache=cache, progress=progress
-        )
+        drawn, skins = pressed_skins(sensor, name, indenter, rank, plan, cache=cache)
         for number, (poses, position) in enumerate(zip(drawn, skins, strict=True)):
             if not np.all(np.isfinite(position)):
-                progress(f"{name}: press {number} is refused by the gel and left out")
+                print(f"{name}: press {number} is refused by the gel and left out")
                 continue
             pressed.append(
                 FilmedPress(
@@ -117,7 +113,6 @@ def pressed_skins(
     plan: PressPlan,
     *,
     cache: Path,
-    progress: Progress,
 ) -> tuple[list[list[Pose]], Float32Array]:
     """Return the poses of one indenter's presses and their skins (N, F, V, 3), not finite where the
     gel refused a press.
@@ -127,12 +122,12 @@ def pressed_skins(
         name: of the indenter.
         indenter: what presses.
         rank: of the indenter's name among those that are pressed, which decides the draws.
-        plan, cache, progress: as for `simulated_presses`.
+        plan, cache: as for `simulated_presses`.
     """
     skin = skin_of(sensor.gel)
     random = np.random.default_rng([plan.seed, rank])
     drawn = [_poses(skin, plan, random) for _ in range(plan.count)]
-    return drawn, _skins(sensor, skin, name, indenter, drawn, cache, progress)
+    return drawn, _skins(sensor, skin, name, indenter, drawn, cache)
 
 
 def _poses(skin: SkinMesh, plan: PressPlan, random: np.random.Generator) -> list[Pose]:
@@ -184,7 +179,6 @@ def _skins(
     indenter: Indenter,
     drawn: Sequence[Sequence[Pose]],
     cache: Path,
-    progress: Progress,
 ) -> Float32Array:
     """Return the skins (N, F, V, 3) of presses; not finite where the gel refused one."""
     s = sensor
@@ -203,7 +197,7 @@ def _skins(
     stamps = _stamps(shape[1])
     found = np.full(shape, np.nan, dtype=np.float32)
     for number, poses in enumerate(drawn):
-        progress(f"{name}: press {number + 1} of {len(drawn)}")
+        print(f"{name}: press {number + 1} of {len(drawn)}")
         gel.reset()
         try:
             found[number] = follow(gel.step, poses, stamps).skin_position_m

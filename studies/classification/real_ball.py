@@ -4,7 +4,7 @@
 """Real presses of a ball, told by classifiers that learnt from simulated touches of five shapes.
 
 Every other figure of this study is of a synthetic sensor. Here the images are of a real GelSight
-(`evaluation.optics.gelsight`): 32 presses of a ball and nothing else. An image model is fitted on
+(`studies.optics.gelsight`): 32 presses of a ball and nothing else. An image model is fitted on
 half of them, renders simulated touches of a ball and of four other shapes, and the classifiers that
 learn from these are judged on the other half, then the other way round. Since all that is real is a
 ball, "ball" might be what a classifier takes for real, or what a model that has only seen balls
@@ -16,7 +16,7 @@ ball.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -59,15 +59,12 @@ from studies.classification.classifier import (
     touched_as_taken,
     train_classifier,
 )
-from studies.optics.fots_balls import (
-    BALL_RADIUS_M,
-    PIXELS_PER_METRE,
-    read_fots_balls,
-)
+from studies.optics.ball_recordings import FOTS, RECORDINGS, read_ball_recording
 from studies.optics.gelsight import SENSOR
 from studies.optics.models import MADE_BY, FitSettings, factory_of
 
 BALL = "ball"
+BALL_RADIUS_M = RECORDINGS[FOTS].ball_radius_m
 SHAPES: Mapping[str, Indenter] = {
     BALL: sphere(BALL_RADIUS_M),
     "cone": cone(0.9, 0.004, 0.0004),
@@ -112,8 +109,6 @@ class BallStudy:
 def evaluate_real_ball(
     study: BallStudy,
     state: Path,
-    *,
-    tell: Callable[[str], None],
     sensor: SensorSpecification = SENSOR,
 ) -> dict[str, Any]:
     """Return how real presses of a ball are told, a row for each image model.
@@ -127,18 +122,17 @@ def evaluate_real_ball(
     Args:
         study: what is asked.
         state: folder of the networks' trainings, each below a key of what decides it.
-        tell: called with a line about each row.
         sensor: a flat pad.
 
     Raises:
-        FileNotFoundError, ValueError: as `read_fots_balls`.
+        FileNotFoundError, ValueError: as `read_ball_recording`.
     """
-    recording = read_fots_balls(study.directory)
+    recording = read_ball_recording(study.directory, FOTS)
     idle, presses = recording.idle, recording.presses
-    scene = flat_scene(idle, sensor, PIXELS_PER_METRE)
+    scene = flat_scene(idle, sensor, recording.pixels_per_metre)
     measured = gel_presses(presses, scene, press_profiles(sensor, BALL_RADIUS_M))
     touches, labels = simulated_pad_touches(scene, sensor, study.touches, study.fit.seed)
-    tell(f"{len(touches)} simulated touches next to {len(presses)} real presses of a ball")
+    print(f"{len(touches)} simulated touches next to {len(presses)} real presses of a ball")
     names = tuple(SHAPES)
     drawn = {
         (model, half): _drawn(
@@ -155,7 +149,7 @@ def evaluate_real_ball(
     rows = {}
     for model in study.models:
         rows[model] = row = _row(model, drawn, presses, idle, labels, study)
-        tell(
+        print(
             f"{model}: {100.0 * row['called_ball']['mean']:.1f} % of the real presses called a "
             f"ball, and {100.0 * row['others_called_ball']['mean']:.1f} % of other shapes"
         )
@@ -224,7 +218,7 @@ def _drawn(
 ) -> ImageArray:
     """Return what a model, fitted on some real presses, makes of each touch (N, H, W, 3)."""
     own = state / content_key(MADE_BY, model, study.fit, fitted_on)
-    make = factory_of(model, study.fit, state=own, progress=lambda _line: None)
+    make = factory_of(model, study.fit, state=own)
     fitted = make(fitted_on, scene.rest, scene.camera)
     shutil.rmtree(own, ignore_errors=True)
     return np.concatenate([fitted.predict(touch, scene.rest) for touch in touches])

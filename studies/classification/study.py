@@ -17,25 +17,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from dotsim_ros.data.data_set import find_indenter, read_data_set
+from dotsim_ros.data.data_set import find_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import Float32Array, IntArray
 from dotsim_ros.io.cache import PHYSICS, content_key
-from dotsim_ros.io.files import write_json
+from dotsim_ros.io.files import cache_directory, write_json
 from dotsim_ros.io.provenance import provenance
-from dotsim_ros.io.worker_pool.pool import Crew, open_pool
-from dotsim_ros.optics.idle import lights_of
+from dotsim_ros.io.worker_pool.pool import Crew, crew, open_pool
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.specification import SensorSpecification, load_sensor
-from dotsim_ros.twin.footage import (
-    FilmedData,
-    FilmedPress,
-    OpticalData,
-    Progress,
-    camera_for,
-    read_filmed_data,
-    render_filmed,
-)
+from dotsim_ros.twin.footage import FilmedPress
 from studies.classification.classifier import (
     ClassifierSettings,
     classified,
@@ -44,24 +34,28 @@ from studies.classification.classifier import (
     touched_as_taken,
     train_classifier,
 )
-from studies.classification.domains import DOMAINS, Domain, Fold, domain_of
+from studies.classification.domains import DOMAINS, Domain, DomainName, Fold, domain_of
+from studies.classification.pictures import write_confusions
 from studies.classification.presses import (
     PressPlan,
     pressed_skins,
     simulated_presses,
 )
+from studies.classification.real_ball import BallStudy, evaluate_real_ball
+from studies.data import REAL, SENSOR_A
 from studies.geometry.registry import sensor_file
 from studies.optics.judge import recordings_of, restricted
 from studies.optics.models import (
+    BOUND,
     CLIPPED,
     MADE_BY,
     REFINED,
+    ClassifiedBy,
     FitSettings,
     factory_of,
 )
-from studies.optics.names import BOUND
 from studies.optics.rows import by_name
-from studies.optics.source import clipped_presses, refined_footage
+from studies.optics.source import Footage, read_footage
 from studies.rivals.optics.clipped import clipped_press
 
 APART = 5
@@ -93,32 +87,83 @@ class Study:
     fit: FitSettings = field(default_factory=FitSettings)
 
 
-@dataclass(frozen=True)
-class _Measured:
-    """The measured frames next to what a sensor renders for them."""
+def classification(
+    *,
+    data: Path = SENSOR_A,
+    sensor: str = "out/apart/apart.yaml",
+    models: tuple[ClassifiedBy, ...] = ("ours", "bound", "tacto", "difftactile", "paper"),
+    domains: tuple[DomainName, ...] = DOMAINS,
+    classifiers: int = 5,
+    presses: int = 60,
+    epochs: int = 60,
+    seed: int = 0,
+    network_epochs: int | None = 20,
+    network_width: int | None = 64,
+    real_ball: bool = True,
+    gelsight: Path = REAL / "gelsight",
+    workers: int = 1,
+    ray_address: str | None = None,
+    images: Path = Path("docs/images"),
+    cache: Path | None = None,
+) -> dict[str, Any]:
+    """Which indenter touches, learnt from each image model's images and judged on measured ones.
 
-    sensor: SensorSpecification
-    filmed: FilmedData
-    data: OpticalData
+    Args:
+        data: folder of a data set.
+        sensor: name or file of the sensor, or a folder with DOMAIN.yaml for each domain.
+        models: which; bound learns from measured images of other presses.
+        domains: which.
+        classifiers: of each row.
+        presses: simulated, of each indenter.
+        epochs: of a classifier's training.
+        seed: of all draws.
+        network_epochs: of a published network's training.
+        network_width: of the published networks' images, pixels.
+        real_ball: whether real presses of a ball on a flat sensor are classified as well.
+        gelsight: folder of FOTS's recording of them.
+        workers: processes, or workers of the Ray cluster, at most.
+        ray_address: HOST:PORT of the head of a Ray cluster, auto or local (none).
+        images: folder of the picture.
+        cache: folder of the rows made before, and of trainings (the user's cache).
+
+    Raises:
+        FileNotFoundError: no data set, or no sensor of a domain.
+        ValueError: data that cannot be classified so, or a model that could not be fitted.
+    """
+    study = Study(
+        data,
+        sensor,
+        models=models,
+        domains=domains,
+        seeds=classifiers,
+        plan=PressPlan(count=presses, seed=seed),
+        classifier=ClassifierSettings(epochs=epochs),
+        fit=FitSettings(seed, network_epochs, network_width),
+    )
+    kept = cache or cache_directory() / "classification"
+    figures = {
+        "study": {**asdict(replace(study, data=Path(data.name))), "data": data.name},
+        **_rows(study, kept, crew(workers, ray_address)),
+    }
+    if real_ball:
+        ball = BallStudy(gelsight, seeds=study.seeds, classifier=study.classifier, fit=study.fit)
+        figures["real_ball"] = evaluate_real_ball(ball, kept / "real_ball")
+    write_confusions(images / "classification.png", figures, study.domains)
+    return figures
 
 
-def run_study(study: Study, kept: Path, *, workers: Crew, tell: Progress) -> dict[str, Any]:
-    """Return the figures of a study; rows that are kept in a folder are not made again.
+def _rows(study: Study, kept: Path, workers: Crew) -> dict[str, dict[str, Any]]:
+    """Return the rows of a study by domain and model; those that are kept are not made again.
 
     Args:
         study: what is asked.
         kept: folder of rows, skins and trainings.
         workers: how many processes, or workers of Ray, each of which presses an indenter or makes
             a row of a domain.
-        tell: called with a line about each row.
-
-    Raises:
-        FileNotFoundError: no data set, or no sensor of a domain.
-        ValueError: data that cannot be classified so, or a model that could not be fitted.
     """
     rows: dict[str, dict[str, Any]] = {name: {} for name in study.domains}
     with open_pool(workers, _prepare, reads=(study.data,), writes=(kept,)) as pool:
-        # Bad data is told before anything is pressed.
+        # Bad data is reported before anything is pressed.
         classes = [pool.submit(_classes, study, name).result() for name in study.domains]
         pressing = [
             (study, kept, domain, indenter)
@@ -137,14 +182,8 @@ def run_study(study: Study, kept: Path, *, workers: Crew, tell: Progress) -> dic
         for done in as_completed(running):
             domain, model = running[done]
             row = rows[domain][model] = done.result()
-            tell(f"{domain}, {model}: {100.0 * row['mean']:.1f} %")
-    return {
-        "study": {
-            **asdict(replace(study, data=Path(study.data.name))),
-            "data": study.data.name,
-        },
-        **{name: {model: rows[name][model] for model in study.models} for name in study.domains},
-    }
+            print(f"{domain}, {model}: {100.0 * row['mean']:.1f} %")
+    return {name: {model: rows[name][model] for model in study.models} for name in study.domains}
 
 
 def made_row(study: Study, kept: Path, domain_name: str, model: str) -> dict[str, Any]:
@@ -156,7 +195,7 @@ def made_row(study: Study, kept: Path, domain_name: str, model: str) -> dict[str
         (true class by told class, of all seeds), `classes`, `frames`, `trajectories`, `simulated`
         (share of simulated touches that no classifier learnt from) and where the row comes from.
     """
-    measured = _measured(study.data, sensor_file(domain_name, study.sensor))
+    measured = _footage(study, domain_name)
     # Nothing measured of the classes may be fitted on out of the domain, which no bound can do
     # without: it is the same in both.
     split = "in_domain" if (model, domain_name) == (BOUND, "out_of_domain") else domain_name
@@ -180,7 +219,7 @@ def made_row(study: Study, kept: Path, domain_name: str, model: str) -> dict[str
 
 
 def _made(
-    study: Study, kept: Path, measured: _Measured, domain: Domain, model: str
+    study: Study, kept: Path, measured: Footage, domain: Domain, model: str
 ) -> dict[str, Any]:
     truth: list[int] = []
     told: list[list[int]] = [[] for _ in range(study.seeds)]
@@ -221,7 +260,7 @@ def _made(
 
 
 def _touches(
-    study: Study, measured: _Measured, keys: Sequence[tuple[str, int]], rank: dict[str, int]
+    study: Study, measured: Footage, keys: Sequence[tuple[str, int]], rank: dict[str, int]
 ) -> tuple[Float32Array, IntArray]:
     """Return what measured touches add to the idle image, and their classes; contact only."""
     seen, labels = [], []
@@ -235,23 +274,23 @@ def _touches(
 
 
 def _to_learn_from(
-    study: Study, kept: Path, measured: _Measured, domain: Domain, fold: Fold, model: str
+    study: Study, kept: Path, measured: Footage, domain: Domain, fold: Fold, model: str
 ) -> tuple[Float32Array, IntArray, Float32Array, IntArray]:
     """Return touches and classes to learn from, and others to see how well that went."""
     rank = {indenter: number for number, indenter in enumerate(domain.classes)}
     if model == BOUND:
         seen, labels = _touches(study, measured, fold.fitted, rank)
         return seen, labels, seen[:0], labels[:0]
-    source, footage, data = read_data_set(study.data), measured.filmed, measured.data
+    footage, data = measured.filmed, measured.data
     if model in REFINED:
-        footage = refined_footage(footage, measured.sensor, data, fold.fitted)
-        data = _rendered(footage, measured)
+        footage = measured.refined(fold.fitted)
+        data = measured.rendered(footage)
     clips = model in CLIPPED
-    presses = clipped_presses(source, measured.sensor, data) if clips else by_name(data)
+    presses = measured.clipped(data) if clips else by_name(data)
     # The lit disc is the same for all, as where images are judged.
     rest = replace(data.rest, lit=measured.data.rest.lit)
     state = kept / "fits" / content_key(MADE_BY, model, fold, study.fit)
-    make = factory_of(model, study.fit, state=state, progress=lambda _line: None)
+    make = factory_of(model, study.fit, state=state)
     fitted = make(restricted(presses, fold.fitted), rest, data.camera)
     random = np.random.default_rng(study.fit.seed)
     filmed, poses_of = simulated_touches(study, kept, domain.name)
@@ -261,8 +300,8 @@ def _to_learn_from(
     for indenter in domain.classes:
         own = [number for number, press in enumerate(filmed) if press.indenter == indenter]
         # One indenter at a time: a rendered frame takes two megabytes.
-        rendered = _rendered(replace(footage, presses=tuple(filmed[n] for n in own)), measured)
-        shape = find_indenter(source, indenter)
+        rendered = measured.rendered(replace(footage, presses=tuple(filmed[n] for n in own)))
+        shape = find_indenter(measured.source, indenter)
         for place, (number, press) in enumerate(zip(own, rendered.presses, strict=True)):
             if clips:
                 press = clipped_press(press, poses_of[number], shape, renderer)
@@ -283,52 +322,42 @@ def simulated_touches(
     study: Study, kept: Path, domain_name: str
 ) -> tuple[list[FilmedPress], list[list[Pose]]]:
     """Return the simulated presses of a domain's indenters, and the poses of each."""
-    measured = _measured(study.data, sensor_file(domain_name, study.sensor))
-    source = read_data_set(study.data)
+    measured = _footage(study, domain_name)
     classes = domain_of(domain_name, recordings_of(measured.data)).classes
     return simulated_presses(
         measured.sensor,
-        {name: find_indenter(source, name) for name in classes},
+        {name: find_indenter(measured.source, name) for name in classes},
         study.plan,
         measured.filmed.idle.shape[:2],
         cache=kept / "skins",
-        progress=lambda _line: None,
     )
 
 
 def _classes(study: Study, domain_name: str) -> tuple[str, ...]:
     """Return the indenters of a domain, in the order of their names."""
-    measured = _measured(study.data, sensor_file(domain_name, study.sensor))
+    measured = _footage(study, domain_name)
     return tuple(sorted(domain_of(domain_name, recordings_of(measured.data)).classes))
 
 
 def _press(study: Study, kept: Path, domain_name: str, indenter: str) -> None:
     """Press an indenter as often as a domain needs it, so that the skins are kept."""
+    measured = _footage(study, domain_name)
     pressed_skins(
-        _measured(study.data, sensor_file(domain_name, study.sensor)).sensor,
+        measured.sensor,
         indenter,
-        find_indenter(read_data_set(study.data), indenter),
+        find_indenter(measured.source, indenter),
         _classes(study, domain_name).index(indenter),
         study.plan,
         cache=kept / "skins",
-        progress=lambda _line: None,
     )
 
 
-def _rendered(footage: FilmedData, measured: _Measured) -> OpticalData:
-    lighting, vignetting = lights_of(measured.sensor)
-    return render_filmed(footage, measured.data.camera, lighting=lighting, vignetting=vignetting)
+def _footage(study: Study, domain_name: str) -> Footage:
+    return _read_footage(study.data, sensor_file(domain_name, study.sensor))
 
 
 # One at a time: the frames of one take half a gigabyte.
-@lru_cache(maxsize=1)
-def _measured(data: Path, sensor_name: str | Path) -> _Measured:
-    sensor = load_sensor(sensor_name)
-    filmed = read_filmed_data(data, sensor)
-    camera = camera_for(sensor, filmed.idle, str(data))
-    lighting, vignetting = lights_of(sensor)
-    rendered = render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
-    return _Measured(sensor, filmed, rendered)
+_read_footage = lru_cache(maxsize=1)(read_footage)
 
 
 def _prepare() -> None:

@@ -14,17 +14,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dotsim_ros.data.recording import Recording
+from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.decision import MARGIN
 from dotsim_ros.gap.presses.answer import null_gains, pattern_gain, screen
 from dotsim_ros.gap.presses.assumptions import BIASED, DIFFERENTIAL
-from dotsim_ros.gap.presses.covariance import Discrepancy, fit_discrepancy
+from dotsim_ros.gap.presses.covariance import Discrepancy, fit_discrepancy, save_discrepancy
 from dotsim_ros.gap.presses.inference import fit_nuisances
+from dotsim_ros.gap.presses.observables import observe, places_of
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.io.arrays import FloatArray
-from studies.gap.null import residuals_without_effect
+from dotsim_ros.io.worker_pool.pool import crew
 from studies.gap.presses import (
     Source,
     draw_presses,
@@ -32,6 +37,7 @@ from studies.gap.presses import (
     open_case,
     open_presses,
     search_of,
+    source_of,
 )
 
 SPLITS = 4
@@ -40,6 +46,42 @@ LIMIT_DRAWS = 15
 """Cases drawn from each half."""
 NULLS_OF_DRAW = 10
 QUANTILE = 0.98
+
+
+def gap_discrepancy(
+    *,
+    data: Path = Path("data/hidden_17/commissioning"),
+    sensor: str = "data/hidden_17/sensor_a.yaml",
+    out: Path = Path("out/discrepancy.npz"),
+    representative: bool = False,
+    seed: int = 0,
+    workers: int = 2,
+    ray_address: str | None = None,
+    cache: Path | None = None,
+) -> dict[str, Any]:
+    """The twin's own error, and the limits of effects, from presses without an effect.
+
+    Args:
+        data: folder of a data set without an effect.
+        sensor: name or file of the sensor, calibrated to it.
+        out: file for the discrepancy (.npz).
+        representative: whether the presses differ as the units do that will be searched: they are
+            of several, or of several meshes of a solver. Limits need no margin for that then.
+        seed: of the draws.
+        workers: processes, or workers of the Ray cluster, at most.
+        ray_address: HOST:PORT of the head of a Ray cluster, auto or local (none).
+        cache: folder of the solves (the user's cache).
+    """
+    source = source_of(data, sensor, cache, crew(workers, ray_address))
+    names = [recording.name for recording in source.measurement.recordings]
+    found = calibrated_discrepancy(source, names, seed, is_representative=representative)
+    save_discrepancy(found, out)
+    return {
+        "file": str(out),
+        "source": found.source,
+        "bias": dict(found.bias),
+        "limit_factors": dict(found.limit_factors),
+    }
 
 
 def calibrated_discrepancy(
@@ -98,15 +140,25 @@ def calibrated_discrepancy(
 
 
 def _residuals(source: Source, recordings: Sequence[Recording]) -> dict[str, FloatArray]:
-    """Return what the twin leaves of each recording, (F, SIZE), by name."""
-    each = residuals_without_effect(
-        replace(source.measurement, recordings=tuple(recordings)),
-        source.sensor,
-        source.run,
-        workers=source.workers,
-        progress=lambda done, total: source.progress("discrepancy", done, total),
-    )
-    return {r.name: residual for r, residual in zip(recordings, each, strict=True)}
+    """Return measured minus simulated, (F, SIZE), of each recording, by name."""
+    skin, values = source.measurement.skin, values_of(source.sensor)
+    with open_solver(source.sensor, skin, source.run, workers=source.workers) as solver:
+        answers = solver.run(
+            [request_of(recording, values) for recording in recordings],
+            lambda done, total: source.progress("discrepancy", done, total),
+        )
+    found = {}
+    for recording, answer in zip(recordings, answers, strict=True):
+        places, press = places_of(recording, skin), recording.press
+        measured, simulated = (
+            observe(places, skin.rest_position_m, position_m, force_n, press.frame_count)
+            for position_m, force_n in (
+                (press.skin_position_m, press.force_n),
+                (answer.skin_position_m, answer.force_n),
+            )
+        )
+        found[recording.name] = measured - simulated
+    return found
 
 
 def _covariances(

@@ -26,8 +26,10 @@ from dotsim_ros.gap.presses.search_state import GapRequest, Search
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.io.progress import PrintedProgress
 from dotsim_ros.io.worker_pool.pool import Crew
-from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.specification import SensorSpecification, load_sensor
 
 Progress = Callable[[str, int, int], None]
 
@@ -67,6 +69,13 @@ class Source:
     def request(self, seed: int) -> GapRequest:
         """Return what a search of such presses is asked for."""
         return GapRequest(self.directory, self.sensor, self.run, budget=0, seed=seed)
+
+
+def source_of(data: Path, sensor: str, cache: Path | None, workers: Crew) -> Source:
+    """Return presses as the options of a study name them; solves are kept in the user's cache where
+    no other is given."""
+    kept = cache or cache_directory() / "gap"
+    return Source(data, load_sensor(sensor), kept, workers, PrintedProgress())
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ truth opened and compared."""
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -94,10 +94,10 @@ def gap_physics(
         crew(workers, ray_address),
         discrepancy,
     )
-    return {"halves": {half: score_sets(request, print)}}
+    return {"halves": {half: score_sets(request)}}
 
 
-def score_sets(request: ScoreRequest, tell: Callable[[str], None]) -> dict[str, Any]:
+def score_sets(request: ScoreRequest) -> dict[str, Any]:
     """Search the sets of a half that are ready, and return the figures.
 
     Raises:
@@ -121,7 +121,9 @@ def score_sets(request: ScoreRequest, tell: Callable[[str], None]) -> dict[str, 
     for record in ready:
         rows.append(_row(request, record))
         shown = rows[-1]
-        tell(f"{shown['set']}: {shown['outcome']} ({' '.join(shown['named']) or shown['verdict']})")
+        print(
+            f"{shown['set']}: {shown['outcome']} ({' '.join(shown['named']) or shown['verdict']})"
+        )
     return {
         "half": request.half,
         "series": {key: index[key] for key in ("version", "seed", "count", "sensor", "coarseness")}

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,10 +37,12 @@ from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.cache import PHYSICS, content_key, load_arrays, store_arrays
 from dotsim_ros.io.documents import ArrayForm
 from dotsim_ros.io.files import short_name
+from dotsim_ros.io.worker_pool.pool import crew
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 from dotsim_ros.twin.solver import TOLERANCE_M
+from studies.data import SENSOR_A
 from studies.gap.baselines import Left, lasso_name, left_on_others
 from studies.gap.discrepancy import calibrated_discrepancy
 from studies.gap.limits import detection_limits
@@ -52,12 +55,14 @@ from studies.gap.presses import (
     halves,
     open_presses,
     search_of,
+    source_of,
 )
 from studies.gap.rates import clustered_rate, median
 from studies.gap.same_law import SameLaw, same_law_cases, same_law_figures
 from studies.hidden.laws import LAWS, OTHER_LAWS, HiddenLaw
 from studies.hidden.reality import Truth, library_names, part_names
 from studies.hidden.reality import answer_of as reality_of
+from studies.run import expect_known
 
 STIFFNESS_DECOY = 0.05
 LIMIT_SEARCHES = 5
@@ -128,26 +133,38 @@ class StudyCase:
         return part_names(Truth(self.truth))
 
 
-def run_study(
-    source: Source,
+def gap(
     *,
-    nulls: int,
-    repeats: int,
-    seed: int,
-    laws: Sequence[str] = OTHER_LAWS,
+    data: Path = SENSOR_A,
+    sensor: str = "sensor_a",
+    nulls: int = 200,
+    repeats: int = 2,
+    laws: tuple[str, ...] = tuple(OTHER_LAWS),
+    seed: int = 5,
+    workers: int = 2,
+    ray_address: str | None = None,
+    cache: Path | None = None,
 ) -> dict[str, Any]:
-    """Return the study's figures.
+    """Power of the gap finder on effects that are hidden in measured presses.
 
     Args:
-        source: presses in which nothing is missing.
-        nulls: cases without an effect, of both halves together.
-        repeats: cases of each law and design from each half.
+        data: folder of a data set without an effect.
+        sensor: name or file of the sensor, calibrated to it.
+        nulls: cases without an effect.
+        repeats: cases of each law and size, from each half of the presses.
+        laws: that are hidden; by default none that is a formula of the library.
         seed: of all draws.
-        laws: that are hidden; by default none that is the library's own formula.
+        workers: processes, or workers of the Ray cluster, at most.
+        ray_address: HOST:PORT of the head of a Ray cluster, auto or local (none).
+        cache: folder of the solves (the user's cache).
 
     Raises:
+        ValueError: no such law.
         SolveError: the gel with a hidden law could not be solved.
     """
+    expect_known("law", laws, LAWS)
+    source = source_of(data, sensor, cache, crew(workers, ray_address))
+    source.run.mkdir(parents=True, exist_ok=True)
     names = [recording.name for recording in source.measurement.recordings]
     first, second = halves(names, seed)
     found: list[StudyCase] = []

@@ -21,7 +21,6 @@ class ImplicitModel:
 
     Args:
         specification: of the sensor; the spacing of its own skin plays no part.
-        name: how tables call it.
         longest_step_s: steps between two frames are no longer; the gel itself takes substeps.
     """
 
@@ -29,10 +28,9 @@ class ImplicitModel:
         self,
         specification: SensorSpecification,
         *,
-        name: str = "ours",
         longest_step_s: float = np.inf,
     ) -> None:
-        self.specification, self.name = specification, name
+        self.specification, self.name = specification, "ours"
         self._longest_step_s = longest_step_s
         self._gel: ImplicitGel | None = None
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,8 @@ from dotsim_ros.twin.surface_metrics import relative_rms
 from studies.data import SENSOR_A
 from studies.geometry.explicit import SETTINGS, ExplicitModel
 from studies.geometry.implicit_model import ImplicitModel
-from studies.geometry.report import read_measured
+from studies.geometry.scores import Measured
+from studies.geometry.study import read_measured
 
 WARM_UP_FRAMES = 2
 
@@ -95,13 +96,8 @@ def runtime(
         raise ValueError(
             f"no press {', '.join(unknown)}; the data set holds {', '.join(measured.presses)}"
         )
-    rows = runtime_rows(
-        load_sensor(sensor),
-        [measured.presses[name] for name in presses],
-        measured.indenters,
-        measured.skin,
-        progress=print,
-    )
+    specification = load_sensor(sensor)
+    rows = [_row(effort, specification, presses, measured) for effort in EFFORTS]
     return {"presses": list(presses), "rows": rows}
 
 
@@ -133,63 +129,43 @@ def model_of(effort: Effort, specification: SensorSpecification) -> ImplicitMode
     return ImplicitModel(replace(specification, solver=solver), longest_step_s=PAPER_FRAME_S)
 
 
-def runtime_rows(
-    specification: SensorSpecification,
-    presses: Sequence[Press],
-    indenters: Mapping[str, Indenter],
-    skin: SkinMesh,
-    *,
-    efforts: Sequence[Effort] = EFFORTS,
-    progress: Callable[[str], None] = lambda _line: None,
-) -> list[dict[str, Any]]:
-    """Return the rows of the table.
+def _row(
+    effort: Effort, specification: SensorSpecification, names: Sequence[str], measured: Measured
+) -> dict[str, Any]:
+    """Return a row of the table.
 
-    Each gel follows the presses in frames of at most 1/24 s; building it and its tables is not
-    timed. A press that a gel cannot follow is named in the row and in none of its figures.
-
-    Args:
-        specification: of the sensor.
-        presses: what to follow, with skin and force.
-        indenters: by name.
-        skin: the measured skin at rest.
-        efforts: the rows.
-        progress: called with a line that says what is being done.
+    The gel follows the presses in frames of at most 1/24 s; building it and its tables is not
+    timed. A press that it cannot follow is named in the row and in none of its figures.
     """
-    rows = []
-    for effort in efforts:
-        model = model_of(effort, specification)
-        seconds, cpu_seconds, count, failed = 0.0, 0.0, 0, {}
-        errors = _Errors()
-        for press in presses:
-            progress(
-                f"{effort.method}, {1e3 * effort.spacing_m:g} mm, {effort.effort}: {press.name}"
-            )
-            indenter = indenters[press.indenter]
-            try:
-                model.predict(_first_frames(press), indenter, skin)
-                begun, cpu_begun = time.perf_counter(), time.process_time()
-                prediction = model.predict(press, indenter, skin)
-                seconds += time.perf_counter() - begun
-                cpu_seconds += time.process_time() - cpu_begun
-            # Solvers that fail raise either; the row says so.
-            except (ValueError, RuntimeError) as error:
-                failed[press.name] = str(error)
-                continue
-            count += sum(1 for _ in steps(press.poses, press.stamp_s, longest_step_s=PAPER_FRAME_S))
-            errors.add(press, prediction, indenter, skin)
-        rows.append(
-            {
-                "method": effort.method,
-                "spacing_mm": 1e3 * effort.spacing_m,
-                "effort": effort.effort,
-                "frames_per_cpu_second": count / cpu_seconds if count else None,
-                "frames_per_second": count / seconds if count else None,
-                **errors.figures(),
-                "frames": count,
-                "failures": failed,
-            }
-        )
-    return rows
+    model, skin = model_of(effort, specification), measured.skin
+    seconds, cpu_seconds, count, failed = 0.0, 0.0, 0, {}
+    errors = _Errors()
+    for name in names:
+        press = measured.presses[name]
+        print(f"{effort.method}, {1e3 * effort.spacing_m:g} mm, {effort.effort}: {name}")
+        indenter = measured.indenters[press.indenter]
+        try:
+            model.predict(_first_frames(press), indenter, skin)
+            begun, cpu_begun = time.perf_counter(), time.process_time()
+            prediction = model.predict(press, indenter, skin)
+            seconds += time.perf_counter() - begun
+            cpu_seconds += time.process_time() - cpu_begun
+        # Solvers that fail raise either; the row says so.
+        except (ValueError, RuntimeError) as error:
+            failed[name] = str(error)
+            continue
+        count += sum(1 for _ in steps(press.poses, press.stamp_s, longest_step_s=PAPER_FRAME_S))
+        errors.add(press, prediction, indenter, skin)
+    return {
+        "method": effort.method,
+        "spacing_mm": 1e3 * effort.spacing_m,
+        "effort": effort.effort,
+        "frames_per_cpu_second": count / cpu_seconds if count else None,
+        "frames_per_second": count / seconds if count else None,
+        **errors.figures(),
+        "frames": count,
+        "failures": failed,
+    }
 
 
 def _first_frames(press: Press) -> Press:

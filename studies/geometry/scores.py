@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +22,23 @@ from dotsim_ros.twin.press_metrics import (
     score_press,
 )
 from dotsim_ros.twin.surface_metrics import surface_distance, weighted_rms
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a data set holds, read.
+
+    Attributes:
+        presses: by name.
+        indenters: by name.
+        skin: at rest.
+        left_out: presses that could not be read, with the reason, by name.
+    """
+
+    presses: dict[str, Press]
+    indenters: dict[str, Indenter]
+    skin: SkinMesh
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -160,15 +177,7 @@ def measurement_noise(presses: Iterable[Press], skin: SkinMesh) -> MeasuredNoise
 
 
 def evaluate_model(
-    factory: Factory,
-    split: Split,
-    presses: Mapping[str, Press],
-    indenters: Mapping[str, Indenter],
-    skin: SkinMesh,
-    *,
-    seed: int = 0,
-    from_depth_m: float = JUDGED_DEPTH_M,
-    progress: Callable[[str], None] = lambda _press: None,
+    factory: Factory, split: Split, measured: Measured, *, seed: int, from_depth_m: float
 ) -> ModelScores:
     """Fit a model on the training presses of a split and score it on the others.
 
@@ -177,29 +186,27 @@ def evaluate_model(
     Args:
         factory: makes the model.
         split: what to fit on and to judge on.
-        presses: by name.
-        indenters: by name.
-        skin: the measured skin at rest.
+        measured: the data set.
         seed: of the samples.
         from_depth_m: depth of the tip from which frames are judged.
-        progress: called with the name of each press that is done.
 
     Raises:
         ValueError: the model could not be made.
     """
-    model = factory(split, [presses[name] for name in split.train], indenters, skin)
+    train = [measured.presses[name] for name in split.train]
+    model = factory(split, train, measured.indenters, measured.skin)
     scores: list[PressFrameScore] = []
     failures: list[Failure] = []
     for name in split.test:
-        press = presses[name]
-        indenter = indenters[press.indenter]
+        press = measured.presses[name]
+        indenter = measured.indenters[press.indenter]
         try:
-            prediction = model.predict(press, indenter, skin)
+            prediction = model.predict(press, indenter, measured.skin)
             scores += score_press(
-                press, prediction, indenter, skin, seed=seed, from_depth_m=from_depth_m
+                press, prediction, indenter, measured.skin, seed=seed, from_depth_m=from_depth_m
             )
         # Solvers that fail raise either; the table says so rather than end.
         except (ValueError, RuntimeError) as error:
             failures.append(Failure(name, str(error)))
-        progress(name)
+        print(f"{model.name}, {split.name}: {name}")
     return ModelScores(tuple(scores), tuple(failures))

@@ -84,13 +84,12 @@ def _llvm_version(path: Path) -> int:
     return 0
 
 
-def open_mitsuba(variant: str = "", *, threads: int = 1) -> ModuleType:
-    """Return Mitsuba, ready to render.
+def open_mitsuba(variant: str = "") -> ModuleType:
+    """Return Mitsuba, ready to render with one thread.
 
     Args:
         variant: of Mitsuba; empty for llvm_ad_rgb where there is an LLVM for it, else scalar_rgb,
             which is five times slower.
-        threads: to render with.
 
     Raises:
         ImportError: Mitsuba is not installed.
@@ -109,7 +108,7 @@ def open_mitsuba(variant: str = "", *, threads: int = 1) -> ModuleType:
             f"{variant} needs libLLVM {LEAST_LLVM} or newer, loaded is {_loaded_llvm() or 'none'}; "
             "install one, or name it in DRJIT_LIBLLVM_PATH before Mitsuba is imported"
         )
-    drjit.set_thread_count(threads)
+    drjit.set_thread_count(1)
     mitsuba.set_variant(variant or ("llvm_ad_rgb" if works else "scalar_rgb"))
     return mitsuba
 
@@ -199,10 +198,10 @@ class Inside:
     led_radius_m: float = LED_RADIUS_M
 
 
-def map_directions(size: int = MAP_SIZE) -> FloatArray:
+def map_directions() -> FloatArray:
     """Return (N, N, 3) the unit directions from the dome's centre of a map of the coat: x grows
     with the column, y with the row."""
-    place = MAP_REACH_RAD * ((2.0 * np.arange(size) + 1.0) / size - 1.0)
+    place = MAP_REACH_RAD * ((2.0 * np.arange(MAP_SIZE) + 1.0) / MAP_SIZE - 1.0)
     x, y = np.meshgrid(place, place)
     angle = np.hypot(x, y)
     share = np.sin(angle) / np.maximum(angle, 1e-12)

@@ -9,7 +9,7 @@ Skins are those of a measured data set, so neither the gel nor the light is this
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
@@ -120,7 +120,6 @@ class Studio:
         *,
         frames: int,
         seed: int,
-        progress: Callable[[int, int], None] | None = None,
     ) -> None:
         """Write a data set of a unit: idle photographs and bags.
 
@@ -130,7 +129,6 @@ class Studio:
             unit: the sensor.
             frames: of each trajectory, thinned evenly, the first and the last among them.
             seed: of the samples and of the camera's noise.
-            progress: called with the number of trajectories done, and of all.
 
         Raises:
             FileExistsError: there is a data set.
@@ -147,7 +145,7 @@ class Studio:
                 str(directory / f"idle_{number}.png"), cv2.cvtColor(photograph, cv2.COLOR_RGB2BGR)
             )
         session_s = 0.0
-        for number, name in enumerate(names):
+        for name in names:
             trajectory = _thinned(self._entries[name].read(), frames)
             assert trajectory.skin is not None
             stamp_ns = trajectory.skin.stamp_ns
@@ -163,8 +161,6 @@ class Studio:
             )
             mesh = directory / "indenters" / f"{self._entries[name].indenter}.stl"
             data_set.add(measured, load_indenter(mesh))
-            if progress is not None:
-                progress(number + 1, len(names))
 
     def smooth_skins(self, position_m: NDArray[np.floating]) -> FloatArray:
         """Return measured skins (F, V, 3) with less of their noise; the base stays at rest."""
@@ -223,9 +219,9 @@ class Studio:
         return self._renderer[1]
 
 
-def coat_pattern(seed: int = 2) -> FloatArray:
+def coat_pattern() -> FloatArray:
     """Return (N, N) the reflectance of a coat with random dark blots, over a map of it."""
-    rough = rough_map(seed, BLOT_RAD)
+    rough = rough_map(2, BLOT_RAD)
     return np.asarray(BLOT + (BRIGHT - BLOT) / (1.0 + np.exp(-4.0 * (rough + 0.3))))
 
 

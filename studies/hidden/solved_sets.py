@@ -1,15 +1,35 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A folder of data sets whose effects finite elements have solved; it grows by a trajectory at a
-time, and an interrupted run goes on where it stopped.
+"""Data sets with hidden effects that finite elements (CalculiX) have solved.
 
-    INDEX.json                which sets there are, of which half, and what of them is made
+Each set is a unit of the sensor, measured along eight trajectories (two holds, four presses, two
+slides), with constants, mesh and noise of its own. In some nothing is wrong, and two constants are
+nearly out of tolerance; in some one effect is hidden, in some two, in some one that the library
+does not know. The effect is part of what CalculiX solves: none of our own gel takes part. OUT has
+index.json, which says of each set which half it belongs to, and set_NN in the layout of measured
+data, with the sealed truth.json. A trajectory is saved once it is solved, so that an interrupted
+run resumes with the same command; one that CalculiX cannot finish is tried again with smaller
+steps, then with larger elements, and then listed as failed.
+
+OUT/commissioning is the unit as declared, on three meshes, to calibrate the twin with and to learn
+what it is off by: what a model calls friction or stiffness is an effective constant, and that of
+another solver's units is not that of another sensor's.
+
+    python -m studies hide --count 32 --seed 7 --out out/hidden
+    dotsim_ros calibrate --data out/hidden/commissioning --sensor sensor_a --hold-out 0 \\
+        --out out/sensor_a.yaml
+    python -m studies gap_discrepancy --data out/hidden/commissioning --sensor out/sensor_a.yaml \\
+        --out out/discrepancy.npz
+    python -m studies gap_physics --sets out/hidden --sensor out/sensor_a.yaml \\
+        --discrepancy out/discrepancy.npz
+
+The folder:
+
+    index.json                which sets there are, of which half, and what of them is made
     commissioning/...         the unit as declared, to calibrate the twin with
     set_00/dataset.yaml ...   a measured data set
     set_00/truth.json         sealed: for the scoring alone; its SHA-256 stands in the index
-
-A trajectory that could not be solved is in no data set; the index says why.
 """
 
 from __future__ import annotations
@@ -19,6 +39,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +51,7 @@ from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.io.documents import read_json
 from dotsim_ros.io.files import write_json, write_text
 from dotsim_ros.io.provenance import provenance
-from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.specification import SensorSpecification, load_sensor
 from studies.hidden.solved_draw import (
     COMMISSIONED,
     COMMISSIONING,
@@ -117,19 +138,56 @@ class SetRecord:
     is_ready: bool
 
 
-def make_sets(
-    directory: Path,
-    plan: SeriesPlan,
-    tell: Callable[[str], None],
+def hide(
     *,
-    failed_again: bool = False,
-) -> None:
+    count: int = 32,
+    seed: int = 0,
+    out: Path = Path("out/hidden"),
+    sensor: str = "sensor_a",
+    trajectories: tuple[str, ...] = (),
+    retry: bool = False,
+    coarseness: float = 1.0,
+) -> dict[str, Any]:
+    """Make data sets with hidden effects that CalculiX solves, for the gap finder.
+
+    Args:
+        count: sets.
+        seed: of everything that is drawn.
+        out: folder of the sets.
+        sensor: name or file of what is declared.
+        trajectories: which of each set (all).
+        retry: whether trajectories that failed before are tried again.
+        coarseness: factor on the size of elements, for a quick look.
+
+    Raises:
+        CalculixMissingError, OSError, ValueError: as `SeriesPlan` and `make_sets`.
+    """
+    plan = SeriesPlan(load_sensor(sensor), count, seed, trajectories, coarseness)
+    make_sets(out, plan, failed_again=retry)
+    index, records = read_series(out)
+    made = {record.name: record.made for record in records}
+    failures = {record.name: record.failures for record in records}
+    if COMMISSIONING in index:
+        made[COMMISSIONING] = tuple(index[COMMISSIONING]["made"])
+        failures[COMMISSIONING] = index[COMMISSIONING]["failures"]
+    return {
+        "sets": len(records),
+        "trajectories": sum(map(len, made.values())),
+        "megabytes": round(1e-6 * size_bytes(out), 1),
+        "failed": {
+            f"{name}/{trajectory}": reason
+            for name, of_set in failures.items()
+            for trajectory, reason in of_set.items()
+        },
+    }
+
+
+def make_sets(directory: Path, plan: SeriesPlan, *, failed_again: bool = False) -> None:
     """Make the sets of a plan, or those that a run before has left.
 
     Args:
         directory: of the sets.
         plan: what to make.
-        tell: called with each line that is worth one.
         failed_again: whether trajectories that failed before are tried again.
 
     Raises:
@@ -141,34 +199,33 @@ def make_sets(
     """
     version = calculix_version()
     units = draw_series(plan.sensor, plan.count, plan.seed)
-    records = _begin(directory, plan, units, version)
+    index = _begin(directory, plan, units, version)
     with _alone(directory):
-        _make_commissioning(directory, plan, tell, failed_again=failed_again)
+        commissioned: dict[str, Any] = index.setdefault(COMMISSIONING, {"made": [], "failures": {}})
         if failed_again:
-            for record in records:
+            commissioned["failures"] = {}
+            for record in index["sets"]:
                 record["ready"] = record["ready"] and not record["failures"]
                 record["failures"] = {}
-        _make(directory, plan, units, records, tell)
-
-
-def _make_commissioning(
-    directory: Path, plan: SeriesPlan, tell: Callable[[str], None], *, failed_again: bool
-) -> None:
-    """Make the set of the unit as declared, or what a run before has left of it."""
-    units = [commissioning_unit(plan.sensor, plan.seed, mesh) for mesh in range(COMMISSIONED)]
-    index = read_json(directory / INDEX)
-    record: dict[str, Any] = index.get(COMMISSIONING, {"made": [], "failures": {}})
-    if failed_again:
-        record["failures"] = {}
-
-    def kept() -> None:
-        write_json(directory / INDEX, read_json(directory / INDEX) | {COMMISSIONING: record})
-
-    # The meshes differ in nothing else that the truth says.
-    write_text(directory / COMMISSIONING / TRUTH, units[0].sealed())
-    for mesh, unit in enumerate(units):
-        _make_set(directory, plan, unit, _repeated(plan, unit, mesh), record, tell, kept)
-    tell(f"{COMMISSIONING}: ready")
+        save = partial(write_json, directory / INDEX, index)
+        declared = [
+            commissioning_unit(plan.sensor, plan.seed, mesh) for mesh in range(COMMISSIONED)
+        ]
+        # The meshes differ in nothing else that the truth says.
+        write_text(directory / COMMISSIONING / TRUTH, declared[0].sealed())
+        for mesh, unit in enumerate(declared):
+            _make_set(directory, plan, unit, _repeated(plan, unit, mesh), commissioned, save)
+        print(f"{COMMISSIONING}: ready")
+        for unit, record in zip(units, index["sets"], strict=True):
+            if record["ready"]:
+                print(f"{unit.name}: there already")
+                continue
+            write_text(directory / unit.name / TRUTH, unit.sealed())
+            _make_set(directory, plan, unit, _protocols(plan, unit), record, save)
+            record["ready"] = True
+            save()
+            ready = sum(entry["ready"] for entry in index["sets"])
+            print(f"{unit.name}: ready, {ready} of {len(units)}")
 
 
 def _repeated(plan: SeriesPlan, unit: SolvedUnit, repeat: int) -> list[Protocol]:
@@ -180,34 +237,6 @@ def _repeated(plan: SeriesPlan, unit: SolvedUnit, repeat: int) -> list[Protocol]
         name = f"{stem}_{int(number) + repeat * len(planned)}"
         result.append(replace(protocol, name=name))
     return result
-
-
-def _make(
-    directory: Path,
-    plan: SeriesPlan,
-    units: Sequence[SolvedUnit],
-    records: list[dict[str, Any]],
-    tell: Callable[[str], None],
-) -> None:
-    for number, unit in enumerate(units):
-        record = records[number]
-        if record["ready"]:
-            tell(f"{unit.name}: there already")
-            continue
-        write_text(directory / unit.name / TRUTH, unit.sealed())
-        _make_set(
-            directory,
-            plan,
-            unit,
-            _protocols(plan, unit),
-            record,
-            tell,
-            lambda: _write(directory, records),
-        )
-        record["ready"] = True
-        _write(directory, records)
-        ready = sum(entry["ready"] for entry in records)
-        tell(f"{unit.name}: ready, {ready} of {len(units)}")
 
 
 @contextmanager
@@ -275,8 +304,8 @@ def _checked_index(path: Path) -> dict[str, Any]:
 
 def _begin(
     directory: Path, plan: SeriesPlan, units: Sequence[SolvedUnit], version: str
-) -> list[dict[str, Any]]:
-    """Return the index's entries of the sets, those of a run before where there was one."""
+) -> dict[str, Any]:
+    """Return the index, that of a run before where there was one."""
     path = directory / INDEX
     if path.is_file():
         index = _checked_index(path)
@@ -291,13 +320,13 @@ def _begin(
                 f"{directory} holds sets that CalculiX {index.get('calculix')} solved, installed "
                 f"is {version}; give another folder with --out"
             )
-        entries: list[dict[str, Any]] = index["sets"]
-        if [entry["truth_sha256"] for entry in entries] != [unit.digest() for unit in units]:
+        sealed = [entry["truth_sha256"] for entry in index["sets"]]
+        if sealed != [unit.digest() for unit in units]:
             raise ValueError(
                 f"{directory} holds sets with other truths than this version draws; give another "
                 "folder with --out"
             )
-        return entries
+        return index
     if directory.exists() and any(directory.iterdir()):
         raise FileExistsError(
             f"{directory} holds files, and no {INDEX} that says they are hidden sets; give an "
@@ -323,13 +352,9 @@ def _begin(
         for unit in units
     ]
     origin = {"calculix": version, "provenance": provenance(), "halves": list(HALVES)}
-    write_json(path, plan.stated() | origin | {"sets": entries})
-    return entries
-
-
-def _write(directory: Path, entries: list[dict[str, Any]]) -> None:
-    index = read_json(directory / INDEX)
-    write_json(directory / INDEX, index | {"sets": entries})
+    made = plan.stated() | origin | {"sets": entries}
+    write_json(path, made)
+    return made
 
 
 def _protocols(plan: SeriesPlan, unit: SolvedUnit) -> list[Protocol]:
@@ -344,8 +369,7 @@ def _make_set(
     unit: SolvedUnit,
     planned: Sequence[Protocol],
     record: dict[str, Any],
-    tell: Callable[[str], None],
-    partial_index: Callable[[], None],
+    save: Callable[[], None],
 ) -> None:
     """Make the planned trajectories of a set that are missing; its entry is kept up to date."""
     folder = directory / unit.name
@@ -370,16 +394,15 @@ def _make_set(
                 indenter,
                 np.random.default_rng([*unit.seed, 3, number]),
                 coarseness=plan.coarseness,
-                tell=lambda text, place=f"{unit.name}/{name}": tell(f"{place}: {text}"),  # type: ignore[misc]
             )
         except UnsolvedError as error:
             record["failures"][name] = str(error)
-            tell(f"{unit.name}/{name}: {error}")
+            print(f"{unit.name}/{name}: {error}")
         else:
             data_set.add(trajectory, indenter, notes | {"tries": tries})
             record["made"].append(name)
-            tell(f"{unit.name}/{name}: {len(protocol.time_s)} frames, {tries} tries")
-        partial_index()
+            print(f"{unit.name}/{name}: {len(protocol.time_s)} frames, {tries} tries")
+        save()
 
 
 def size_bytes(directory: Path) -> int:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import errno
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +28,7 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.specification import SensorSpecification
 from studies.hidden.solved_draw import SolvedUnit
-from studies.reference.deck import StepControl
+from studies.reference.blocks import StepControl
 from studies.reference.mesh import DomeMesh, interpolate_skin, pressed_place
 from studies.reference.press import ReferenceSettings, reference_deck
 from studies.reference.run import CalculixError, Solution, solve
@@ -133,7 +133,6 @@ def measured(
     random: Generator,
     *,
     coarseness: float = 1.0,
-    tell: Callable[[str], None] = lambda text: None,
 ) -> tuple[Trajectory, int]:
     """Return a trajectory as instruments record it, and how many tries its solution took.
 
@@ -145,7 +144,6 @@ def measured(
         indenter: the shape of the protocol's name.
         random: of the noise.
         coarseness: elements are so many times as large as the unit's, for a quick test.
-        tell: called with why a try failed.
 
     Raises:
         UnsolvedError: no try was solved to its end; the text says why the last was not.
@@ -155,7 +153,7 @@ def measured(
     own, time_s = unit.constants, protocol.time_s
     poses = [protocol.motion.at(float(t) - own.clock_s) for t in time_s]
     skin_m, force_n, tries = _solved(
-        unit, sensor, skin, indenter, poses, time_s, coarseness=coarseness, tell=tell
+        unit, sensor, skin, indenter, poses, time_s, coarseness=coarseness
     )
     recorded = [protocol.motion.at(float(t)) for t in time_s]
     position = np.stack([pose.position_m for pose in recorded]) + own.pose_bias_m
@@ -181,7 +179,6 @@ def _solved(
     time_s: FloatArray,
     *,
     coarseness: float,
-    tell: Callable[[str], None],
 ) -> tuple[FloatArray, FloatArray, int]:
     """Return skin (F, V, 3) and force (F, 3) along poses, and the number of tries."""
     relaxes = unit.size_of("two_branches") is not None
@@ -207,7 +204,7 @@ def _solved(
             break
         reason = solution.failure
         _check_room()
-        tell(f"try {tries} of {len(EFFORTS)}: {reason}")
+        print(f"{unit.name}: try {tries} of {len(EFFORTS)}: {reason}")
     else:
         raise UnsolvedError(f"CalculiX did not finish it in {len(EFFORTS)} tries: {reason}")
     at = interpolate_skin(deck.gel, skin.rest_position_m)

@@ -6,8 +6,9 @@ it, with the errors that a unit, a model and instruments have."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 from studies.hidden.reality import Truth, answer_of
-from studies.reference.data_set import FINE_STEP_M
+from studies.reference.results import FINE_STEP_M
 
 UNIT_STIFFNESS = 0.03
 """Units differ by so much, one deviation."""
@@ -79,7 +80,6 @@ def measure_unit(
     *,
     seed: int,
     only: Sequence[str] = (),
-    progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Write a data set of a unit.
 
@@ -90,7 +90,6 @@ def measure_unit(
         truth: what is wrong with the unit.
         seed: of places, of the unit's constants and of all errors.
         only: names of the protocols to measure; none for all.
-        progress: called with the number of trajectories done, and of all.
 
     Raises:
         FileExistsError: there is a data set.
@@ -109,34 +108,15 @@ def measure_unit(
         indenter = replace(load_indenter(indenter_name), name=indenter_name)
         poses = [motion.at(float(t)) for t in time_s]
         press = Press(name, indenter_name, poses, time_s + 1.0)
+        solve = partial(answer_of, simulator, values, indenter, seed=seed, number=number)
         try:
-            _, without = answer_of(
-                simulator,
-                values,
-                indenter,
-                press,
-                Truth(()),
-                session_s=0.0,
-                seed=seed,
-                number=number,
-            )
+            _, without = solve(press, Truth(()), session_s=0.0)
             press = replace(press, force_n=without)
-            skin_m, force_n = answer_of(
-                simulator,
-                values,
-                indenter,
-                press,
-                truth,
-                session_s=session_s,
-                seed=seed,
-                number=number,
-            )
+            skin_m, force_n = solve(press, truth, session_s=session_s)
         except SolveError:
             continue
         session_s += float(np.ptp(time_s))
         data_set.add(_measured(press, skin_m, force_n, skin.rest_position_m, random), indenter)
-        if progress is not None:
-            progress(number + 1, len(planned))
 
 
 def _measured(

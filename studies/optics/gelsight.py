@@ -18,7 +18,7 @@ that the photograph shows beyond the contact, for every model alike.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -43,13 +43,17 @@ from dotsim_ros.twin.ball_presses import (
 )
 from dotsim_ros.twin.footage import OpticalPress
 from studies.data import REAL
-from studies.optics.fots_balls import read_fots_balls
+from studies.optics.ball_recordings import (
+    FOTS,
+    TAXIM_SUBSETS,
+    BallRecording,
+    read_ball_recording,
+    with_circles_found,
+)
 from studies.optics.image_scores import score_image
 from studies.optics.judge import Factory, mean_score
-from studies.optics.marked_photographs import BallRecording, with_circles_found
 from studies.optics.models import FitSettings, factory_of
 from studies.optics.sheet import write_optics_sheet
-from studies.optics.taxim_balls import SUBSETS, read_taxim_balls
 from studies.rivals.optics import per_pixel
 
 EVERY = 4
@@ -214,7 +218,6 @@ def evaluate_recording(
     settings: FitSettings,
     state: Path,
     sheets: Path | None = None,
-    progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
     """Return the figures of the models on some presses, fitted on the others.
 
@@ -227,19 +230,18 @@ def evaluate_recording(
         settings: how models are fitted.
         state: folder of the networks' trainings, one in it for each gel and choice of presses.
         sheets: folder of a sheet of images, named by the recording; None for none.
-        progress: called with a line that says what is being done.
 
     Raises:
         ValueError: the gel could not be solved.
     """
     presses = recording.presses
-    progress(f"{recording.name}: pressing the ball into a pad, {len(presses)} images to explain")
+    print(f"{recording.name}: pressing the ball into a pad, {len(presses)} images to explain")
     study = BallStudy.of(recording, placed)
     training = state / f"{recording.name}-{study.training_key(test)}"
     rows, shown = {}, {}
     for model in models:
-        progress(f"{recording.name}, {model}: fitting on {len(presses) - len(test)} presses")
-        make = _factory(model.removesuffix(CAP), settings, training, progress)
+        print(f"{recording.name}, {model}: fitting on {len(presses) - len(test)} presses")
+        make = _factory(model.removesuffix(CAP), settings, training)
         rows[model], images = study.judged(make, test, cap=model.endswith(CAP))
         if model in SHOWN_MODELS:
             keys = [(presses[k].name, 0) for k in test[:SHOWN_PRESSES]]
@@ -286,9 +288,9 @@ def gelsight(
         cache: folder of the networks' trainings (the user's cache).
 
     Raises:
-        FileNotFoundError, ValueError: as `read_fots_balls`, or too few presses.
+        FileNotFoundError, ValueError: as `read_ball_recording`, or too few presses.
     """
-    recording = read_fots_balls(data)
+    recording = read_ball_recording(data, FOTS)
     presses = len(recording.presses)
     if not 0 < count < presses:
         raise ValueError(
@@ -303,7 +305,6 @@ def gelsight(
         settings=settings,
         state=_trainings(cache, seed),
         sheets=images,
-        progress=print,
     )
 
 
@@ -332,17 +333,13 @@ def gelsight_taxim(
         cache: folder of the networks' trainings (the user's cache).
 
     Raises:
-        FileNotFoundError, ValueError: as `read_taxim_balls`.
+        FileNotFoundError, ValueError: as `read_ball_recording`.
     """
     figures: dict[str, Any] = {}
     settings = FitSettings(seed, network_epochs, network_width)
-    given: dict[str, Any] = {
-        "settings": settings,
-        "state": _trainings(cache, seed),
-        "progress": print,
-    }
-    for subset in SUBSETS:
-        recording = read_taxim_balls(data, subset)
+    given: dict[str, Any] = {"settings": settings, "state": _trainings(cache, seed)}
+    for subset in TAXIM_SUBSETS:
+        recording = read_ball_recording(data, f"taxim_{subset}")
         test = list(range(EVERY - 1, len(recording.presses), EVERY))
         if recording.scale_known:
             figures[subset] = evaluate_recording(
@@ -359,7 +356,6 @@ def gelsight_taxim(
             replace(recording, presses=tuple(recording.presses[k] for k in fitted_on)),
             [found[k] for k in fitted_on],
             settings,
-            print,
         )
         figures[subset + AS_MARKED] = evaluate_recording(
             replace(recording, ball_radius_m=MARKED_BALL_RADIUS_M),
@@ -378,7 +374,6 @@ def radius_profile(
     recording: BallRecording,
     placed: Sequence[BallPress],
     settings: FitSettings,
-    progress: Callable[[str], None],
 ) -> dict[str, float]:
     """Return the contact's PSNR on every fourth press, of our model fitted on the others, for
     candidates of the radius of a ball that was not recorded, by the radius in mm. A flat profile:
@@ -389,7 +384,7 @@ def radius_profile(
     recipe = NeighbourhoodRecipe(steps=RADIUS_STEPS)
     found = {}
     for radius in CANDIDATE_RADII_M:
-        progress(f"{recording.name}: a ball of {1e3 * radius:g} mm radius")
+        print(f"{recording.name}: a ball of {1e3 * radius:g} mm radius")
         study = BallStudy.of(replace(recording, ball_radius_m=radius), placed)
         row, _images = study.judged(
             lambda t, r, c: fit_neighbourhood(t, r, c, seed=settings.seed, recipe=recipe),
@@ -399,9 +394,7 @@ def radius_profile(
     return found
 
 
-def _factory(
-    model: str, settings: FitSettings, state: Path, progress: Callable[[str], None]
-) -> Factory:
+def _factory(model: str, settings: FitSettings, state: Path) -> Factory:
     match model:
         case "fots":
             return lambda t, r, c: per_pixel.fit(
@@ -413,6 +406,6 @@ def _factory(
 
             return lambda t, r, c: fit_neighbourhood(t, r, c, seed=settings.seed)
         case "local":
-            return factory_of("ours", settings, state=state, progress=progress)
+            return factory_of("ours", settings, state=state)
         case _:
-            return factory_of(model, settings, state=state, progress=progress)
+            return factory_of(model, settings, state=state)

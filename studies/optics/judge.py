@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Any, Protocol, TypeVar
 
@@ -90,13 +90,6 @@ class ImageFrameScores:
     disc_score: ImageScore
 
 
-@dataclass(frozen=True)
-class _Recording:
-    name: str
-    indenter: str
-    frame_count: int
-
-
 def splits_of(data: OpticalData, *, seed: int = 0) -> dict[str, dict[str, OpticalSplit]]:
     """Return the splits of a data set by level and way; errors as `optical_splits`."""
     return optical_splits(recordings_of(data), seed=seed)
@@ -104,7 +97,7 @@ def splits_of(data: OpticalData, *, seed: int = 0) -> dict[str, dict[str, Optica
 
 def recordings_of(data: OpticalData) -> list[Recorded]:
     """Return the trajectories of a data set, as far as drawing needs them."""
-    return [_Recording(press.name, press.indenter, len(press.measured)) for press in data.presses]
+    return [Recorded(press.name, press.indenter, len(press.measured)) for press in data.presses]
 
 
 def with_frames(press: AnyPress, frames: Sequence[int]) -> AnyPress:
@@ -234,11 +227,6 @@ def _figures(scores: Sequence[ImageFrameScores]) -> dict[str, Any]:
 
 def _figures_or_none(scores: Sequence[ImageFrameScores]) -> dict[str, Any] | None:
     return _figures(scores) if scores else None
-
-
-def scores_as_json(scores: Iterable[ImageFrameScores]) -> list[dict[str, Any]]:
-    """Return scores as plain values."""
-    return [asdict(score) for score in scores]
 
 
 def scores_from_json(rows: Iterable[Mapping[str, Any]]) -> list[ImageFrameScores]:

@@ -5,19 +5,62 @@
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.learning.recipe import check_epochs
-from dotsim_ros.optics.network.card import TRAINED
 from dotsim_ros.twin.footage import OpticalPress, Rest
 from studies.optics.judge import Factory, Idle, ImageModel, WarpedIdle
-from studies.optics.names import NAMES, PUBLISHED, WARPED
 from studies.rivals.optics import per_pixel, tacto, taxim
 from studies.rivals.optics.pixels import idle_ground, warped_ground
+from studies.run import expect_known
+
+ImageModelName = Literal[
+    "idle",
+    "idle_refined",
+    "tacto",
+    "tacto_refined",
+    "taxim",
+    "difftactile",
+    "paper",
+    "paper_direct",
+    "paper_mobile",
+    "paper_mobile_warped",
+    "unet",
+    "carried",
+    "tacto_warped",
+    "taxim_warped",
+    "difftactile_warped",
+    "ours",
+]
+NAMES: tuple[ImageModelName, ...] = get_args(ImageModelName)
+MOBILE = ("paper_mobile", "paper_mobile_warped")
+"""The paper's network with a backbone that can be trained to its end without CUDA, added to the
+idle image as published, and to the warped one."""
+PUBLISHED = ("paper", "paper_direct", *MOBILE, "unet")
+"""Published networks, which take hours without CUDA unless their images are small."""
+WARPED = ("tacto_warped", "taxim_warped", "difftactile_warped")
+"""Published models that complete the warped image, in place of our network."""
+BOUND = "bound"
+"""The row that learns from measured images of other trajectories: no simulation passes it."""
+ClassifiedBy = Literal[
+    "bound",
+    "idle",
+    "tacto",
+    "taxim",
+    "difftactile",
+    "paper",
+    "paper_direct",
+    "paper_mobile",
+    "paper_mobile_warped",
+    "unet",
+    "carried",
+    "ours",
+]
+"""What the classifiers learn from: images of these models, or measured ones (`BOUND`)."""
 
 CLIPPED = ("tacto", "tacto_refined", "tacto_warped")
 """Models that get the clipped skin instead of the gel's."""
@@ -61,50 +104,31 @@ class FitSettings:
         return self.network_width if network in PUBLISHED else None
 
 
-def factory_of(
-    name: str, settings: FitSettings, *, state: Path, progress: Callable[[str], None]
-) -> Factory:
+def factory_of(name: str, settings: FitSettings, *, state: Path) -> Factory:
     """Return what makes a model.
 
     Args:
         name: one of `NAMES`.
         settings: how it is fitted.
         state: folder in which a network's training leaves its state, to resume from.
-        progress: called with a line that says what is being done.
 
     Raises:
-        ValueError: no such model, or one that needs torch where that is not installed.
+        ValueError: no such model.
     """
+    expect_known("model", [name], NAMES)
     ground = warped_ground if name in WARPED else idle_ground
-    match name:
+    match name.removesuffix("_warped"):
         case "idle" | "idle_refined":
             return lambda _train, _rest, _camera: Idle(name)
         case "carried":
             return lambda _train, _rest, _camera: WarpedIdle()
-        case "tacto" | "tacto_refined" | "tacto_warped":
+        case "tacto" | "tacto_refined":
             return lambda t, r, c: tacto.fit(t, r, c, seed=settings.seed, ground=ground)
-        case "taxim" | "taxim_warped":
+        case "taxim":
             return lambda t, r, c: taxim.fit(t, r, c, seed=settings.seed, ground=ground)
-        case "difftactile" | "difftactile_warped":
-            _need_torch(name)
+        case "difftactile":
             return lambda t, r, c: per_pixel.fit(t, r, c, seed=settings.seed, ground=ground)
-    if name not in TRAINED:
-        raise ValueError(f"no model {name!r}; known are {', '.join(NAMES)}")
-    _need_torch(name)
-    return _network(name, settings, state, progress)
 
-
-def _need_torch(name: str) -> None:
-    if importlib.util.find_spec("torch") is None:
-        raise ValueError(
-            f"model {name!r} is fitted with torch, which is not installed; install "
-            "dotsim_ros[learning], or leave it out of --models"
-        )
-
-
-def _network(
-    name: str, settings: FitSettings, state: Path, progress: Callable[[str], None]
-) -> Factory:
     def make(train: Sequence[OpticalPress], rest: Rest, camera: Camera) -> ImageModel:
         # Loaded on use: the other models need none of it.
         from dotsim_ros.learning.fitting import fit_network
@@ -118,7 +142,7 @@ def _network(
             epochs=settings.epochs_of(name),
             size=settings.width_of(name),
             directory=state,
-            progress=lambda p: progress(
+            progress=lambda p: print(
                 f"{name}: epoch {p.epoch} of {p.epochs}, {p.psnr_db:.2f} dB in training, "
                 f"{p.left_s / 60.0:.1f} min left"
             ),

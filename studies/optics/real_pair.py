@@ -230,33 +230,18 @@ def real_pair(*, data: Path = REAL / "densetact", sensor: str = "densetact2") ->
     if disc is None:
         raise ValueError(f"{description} does not say where the lit disc lies")
     pair = read_real_pair(data)
-    return evaluate_real_pair(pair, load_sensor(sensor), disc, lighting, vignetting, progress=print)
+    return evaluate_real_pair(PressSearch(pair, load_sensor(sensor), disc, lighting, vignetting))
 
 
-def evaluate_real_pair(
-    pair: RealPair,
-    sensor: SensorSpecification,
-    disc: LitDisc,
-    lighting: Lighting,
-    vignetting: Vignetting,
-    *,
-    progress: Callable[[str], None] = lambda _line: None,
-) -> dict[str, Any]:
+def evaluate_real_pair(search: PressSearch) -> dict[str, Any]:
     """Return the figures of the idle image and of the images of the presses that fit best.
 
     Rows: `idle`; `carried_by_pattern`, the warped image of the press whose pattern is most like the
     measured one; `carried`, the warped image of the press of least squared error of the image;
     `shaded_by_pattern`, the first press with first-order shading; `shaded`, motion and shading of
     the press of least squared error.
-
-    Args:
-        pair: the images.
-        sensor: the gel; its camera's place.
-        disc: where the lit disc lies in the images.
-        lighting, vignetting: of the real sensor, as far as they are known.
-        progress: called with a line that says what is being done.
     """
-    search = PressSearch(pair, sensor, disc, lighting, vignetting)
+    pair = search.pair
     # The disc's rim does not move and would outweigh the pattern.
     inner = cv2.erode(pair.mask.astype(np.uint8), np.ones((9, 9), dtype=np.uint8)) > 0
     measured = pair.pressed.astype(np.float64)
@@ -274,16 +259,16 @@ def evaluate_real_pair(
         }
 
     rows = {"idle": row(pair.idle, None)}
-    progress("pressing a ball into the gel, from many sides")
+    print("pressing a ball into the gel, from many sides")
     grid = search.grid()
-    progress("fitting the press to the pattern")
+    print("fitting the press to the pattern")
     ball, view = search.best(
         grid, lambda v: -pattern_likeness(search.warping.warp(v), pair.pressed, inner)
     )
     rows["carried_by_pattern"] = row(search.warping.warp(view), ball)
     rows["shaded_by_pattern"] = row(search.shading.warp(view), ball)
     for name, renderer in (("carried", search.warping), ("shaded", search.shading)):
-        progress(f"fitting the press to the image, {name}")
+        print(f"fitting the press to the image, {name}")
         ball, view = search.best(grid, lambda v, r=renderer: squared(r.warp(v)))  # type: ignore[misc]
         rows[name] = row(renderer.warp(view), ball)
     return {"rows": rows, "ball_radius_mm": 1e3 * BALL_RADIUS_M}

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +33,6 @@ from studies.optics.judge import (
     ImageModel,
     restricted,
     score_frames,
-    scores_as_json,
     scores_from_json,
 )
 from studies.optics.models import (
@@ -46,19 +45,6 @@ from studies.optics.models import (
 from studies.optics.split import FrameKey, OpticalSplit
 
 _FORMAT = 1
-
-
-class _Course(Protocol):
-    epochs: int
-    spent_s: float
-
-
-@runtime_checkable
-class _TrainedModel(Protocol):
-    """A network that reports how its training went."""
-
-    trained: _Course
-    size: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -114,7 +100,6 @@ class RowMaker:
         refined: gives the same frames by an idle image that the frames of a split to fit on refine.
         cache: folder of the rows.
         settings: how models are fitted.
-        progress: called with a line that says what is being done.
     """
 
     data: OpticalData
@@ -122,7 +107,6 @@ class RowMaker:
     refined: Callable[[OpticalSplit], OpticalData]
     cache: Path
     settings: FitSettings = field(default_factory=FitSettings)
-    progress: Callable[[str], None] = lambda _line: None
 
     @cached_property
     def presses(self) -> dict[str, OpticalPress]:
@@ -150,7 +134,7 @@ class RowMaker:
         """Return the row of a model on a split.
 
         Args:
-            model: one of `names.NAMES`.
+            model: one of `models.NAMES`.
             split: frames to fit on and to judge on.
             shown: judged frames whose images are wanted.
 
@@ -161,19 +145,19 @@ class RowMaker:
         known = _load(path)
         where = f"{split.level}, {split.way}, {model}"
         if known is not None:
-            self.progress(f"{where}: made before, on {known.date}")
+            print(f"{where}: made before, on {known.date}")
             return known
-        self.progress(f"{where}: fitting on {len(split.train)} frames")
+        print(f"{where}: fitting on {len(split.train)} frames")
         data = self.refined(split) if model in REFINED else self.data
         presses = self.clipped() if model in CLIPPED else by_name(data)
         # The disc that is judged is the same for all.
         rest, camera = replace(data.rest, lit=self.data.rest.lit), data.camera
         state = path.with_suffix(".state")
-        make = factory_of(model, self.settings, state=state, progress=self.progress)
+        make = factory_of(model, self.settings, state=state)
         start = time.perf_counter()
         fitted = make(restricted(presses, split.train), rest, camera)
         fit_s = time.perf_counter() - start
-        self.progress(f"{where}: judging {len(split.test)} frames")
+        print(f"{where}: judging {len(split.test)} frames")
         start = time.perf_counter()
         scores, images = score_frames(fitted, presses, split.test, rest, keep=shown)
         predict_s = (time.perf_counter() - start) / len(scores)
@@ -194,10 +178,12 @@ class RowMaker:
 
 
 def _training_of(model: ImageModel) -> TrainingRecord | None:
-    if not isinstance(model, _TrainedModel):
+    """Return how the training of a model went that reports it, as networks do."""
+    course: Any = getattr(model, "trained", None)
+    if course is None:
         return None
-    course = model.trained
-    return TrainingRecord(course.epochs, course.spent_s / 60.0, *model.size)
+    size: Any = getattr(model, "size", None)
+    return TrainingRecord(course.epochs, course.spent_s / 60.0, *size)
 
 
 def _store(path: Path, row: Row) -> None:
@@ -212,7 +198,7 @@ def _store(path: Path, row: Row) -> None:
     write_json(
         path,
         {
-            "scores": scores_as_json(row.scores),
+            "scores": [asdict(score) for score in row.scores],
             "fit_s": row.fit_s,
             "predict_s": row.predict_s,
             "commit": row.commit,

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -33,20 +33,13 @@ FrameKey = tuple[str, int]
 """Name of a trajectory, and the number of a frame in it."""
 
 
-class Recorded(Protocol):
+@dataclass(frozen=True)
+class Recorded:
     """A trajectory, as far as drawing needs it."""
 
-    @property
-    def name(self) -> str:
-        """Its name."""
-
-    @property
-    def indenter(self) -> str:
-        """Its indenter's name."""
-
-    @property
-    def frame_count(self) -> int:
-        """How many frames it has."""
+    name: str
+    indenter: str
+    frame_count: int
 
 
 @dataclass(frozen=True)
@@ -77,18 +70,7 @@ def optical_splits(
     Raises:
         ValueError: a name twice, or fewer than three indenters.
     """
-    ordered = sorted(trajectories, key=lambda trajectory: trajectory.name)
-    names = [trajectory.name for trajectory in ordered]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(f"names of trajectories must differ, got {', '.join(twice)} twice")
-    indenters = sorted({trajectory.indenter for trajectory in ordered})
-    if len(indenters) <= max(UNSEEN_RANKS):
-        raise ValueError(
-            "the splits leave two indenters out, so three are needed at least; got "
-            f"{', '.join(indenters) or 'none'}"
-        )
-    unseen = {indenters[rank] for rank in UNSEEN_RANKS}
+    ordered, unseen = sorted_with_unseen(trajectories)
     apart = [trajectory for trajectory in ordered if trajectory.indenter in unseen]
     others = [trajectory for trajectory in ordered if trajectory.indenter not in unseen]
     drawn = {"easy": apart, "medium": ordered}
@@ -97,17 +79,38 @@ def optical_splits(
         for level, members in drawn.items()
     }
     splits["hard"] = {
-        way: OpticalSplit("hard", way, _frames(others), _frames(apart)) for way in WAYS
+        way: OpticalSplit("hard", way, frames_of(others), frames_of(apart)) for way in WAYS
     }
     return splits
 
 
-def _frames(trajectories: Iterable[Recorded]) -> tuple[FrameKey, ...]:
+def sorted_with_unseen(trajectories: Iterable[Recorded]) -> tuple[list[Recorded], tuple[str, ...]]:
+    """Return trajectories by name, and the two indenters that easy takes and hard leaves.
+
+    Raises:
+        ValueError: a name twice, or fewer than three indenters.
+    """
+    ordered = sorted(trajectories, key=lambda trajectory: trajectory.name)
+    names = [trajectory.name for trajectory in ordered]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"names of trajectories must differ, got {', '.join(twice)} twice")
+    indenters = sorted({trajectory.indenter for trajectory in ordered})
+    if len(indenters) <= max(UNSEEN_RANKS):
+        raise ValueError(
+            "two indenters are left out, so three are needed at least; got "
+            f"{', '.join(indenters) or 'none'}"
+        )
+    return ordered, tuple(indenters[rank] for rank in UNSEEN_RANKS)
+
+
+def frames_of(trajectories: Iterable[Recorded]) -> tuple[FrameKey, ...]:
+    """Return all frames of trajectories."""
     return tuple((t.name, frame) for t in trajectories for frame in range(t.frame_count))
 
 
 def _draw(level: str, way: str, members: Sequence[Recorded], seed: int) -> OpticalSplit:
-    frames = _frames(members)
+    frames = frames_of(members)
     # Each draw has a stream of its own, so that one level's data does not shift another's.
     random = np.random.default_rng([seed, LEVELS.index(level), WAYS.index(way)])
     if way == "by_frame":

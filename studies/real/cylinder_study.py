@@ -46,7 +46,7 @@ def real_cylinders(*, data: Path = REAL / "ecoflex_compression") -> dict[str, An
         CalculixMissingError: CalculiX is not installed.
     """
     tests = read_compression_tests(data)
-    both = (slipping(), sticking(progress=print))
+    both = (slipping(), sticking())
     rows = []
     for mix in sorted({test.mix for test in tests}):
         of_mix = [test for test in tests if test.mix == mix]

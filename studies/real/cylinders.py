@@ -11,7 +11,7 @@ neo-Hookean gel, since at equilibrium the energy does not depend on a small chan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,12 +80,7 @@ def slipping(share: FloatArray = SHARE) -> Ends:
     )
 
 
-def sticking(
-    share: FloatArray = SHARE,
-    *,
-    spacing_m: float = SPACING_M,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Ends:
+def sticking() -> Ends:
     """Return plates that hold the gel, as far as CalculiX solves them; minutes.
 
     Raises:
@@ -94,9 +89,9 @@ def sticking(
     """
 
     def force(constant: str, size: float) -> FloatArray:
-        progress(f"a cylinder that sticks: {constant} {size:g}")
+        print(f"a cylinder that sticks: {constant} {size:g}")
         law = _law(constant, size)
-        problem = Compression(RADIUS_M, HEIGHT_M, law, share.tolist(), spacing_m)
+        problem = Compression(RADIUS_M, HEIGHT_M, law, SHARE.tolist(), SPACING_M)
         return compressed(problem, time_limit_s=SOLVE_LIMIT_S).force_n / SOLVED_C10_PA
 
     base = force("C10", 1.0)
@@ -112,7 +107,7 @@ def sticking(
                 break
         columns[constant] = longest
     count = min(map(len, columns.values()))
-    return Ends(STUCK, share[:count], {name: column[:count] for name, column in columns.items()})
+    return Ends(STUCK, SHARE[:count], {name: column[:count] for name, column in columns.items()})
 
 
 def _law(constant: str, size: float) -> ElasticLaw:

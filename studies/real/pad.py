@@ -11,7 +11,6 @@ logarithm of the force by a column of its own, taken at one ratio and one fricti
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -186,13 +185,12 @@ class PadSolves:
         return found.force_n
 
 
-def pad_table(solves: PadSolves, indenter: Indenter, progress: Callable[[str], None]) -> PadTable:
+def pad_table(solves: PadSolves, indenter: Indenter) -> PadTable:
     """Solve the table; minutes, where it was not solved before.
 
     Args:
         solves: of the pad.
         indenter: the ball.
-        progress: told what is solved.
 
     Raises:
         SolveError, ValueError: as `PadSolves.force_n`.
@@ -206,7 +204,7 @@ def pad_table(solves: PadSolves, indenter: Indenter, progress: Callable[[str], N
     for i, compressibility in enumerate(COMPRESSIBILITY.tolist()):
         for j, friction in enumerate(FRICTION.tolist()):
             state = PadState(compressibility, friction)
-            progress(f"pad: nu {float(state.poisson_ratio):.3f}, friction {friction:g}")
+            print(f"pad: nu {float(state.poisson_ratio):.3f}, friction {friction:g}")
             log_force[i, j] = column(state)
     base = PadState(float(COMPRESSIBILITY[1]), float(FRICTION[2]))
     up, down = (column(replace(base, stiffening=sign * STIFFENING_STEP)) for sign in (1.0, -1.0))

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +48,7 @@ from studies.real.pad import (
     poses_at,
 )
 from studies.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, disc_section
-from studies.reference.deck import StepControl
+from studies.reference.blocks import StepControl
 from studies.reference.run import CalculixError, CalculixMissingError, solve_section
 
 CHECKED_FRICTION = 0.2
@@ -92,8 +91,8 @@ def real_force(
             "the pad is solved"
         )
     solves = PadSolves(cache or cache_directory() / "real_force")
-    finite_elements = _against_finite_elements(solves, print)
-    table = pad_table(solves, ball(), print)
+    finite_elements = _against_finite_elements(solves)
+    table = pad_table(solves, ball())
     prior = Prior()
     draws = weighted_draws(table, press, prior=prior, seed=seed)
     explanations = all_explained(table, press)
@@ -124,7 +123,7 @@ def real_force(
             }
             for one in explanations
         ],
-        "proposals": _proposals(solves, compared, print),
+        "proposals": _proposals(solves, compared),
         "finite_elements": finite_elements,
         "draws": DRAW_COUNT,
         "model_error": MODEL_ERROR,
@@ -156,7 +155,7 @@ def _posterior(draws: Weighted) -> dict[str, list[float]]:
     return {name: draws.quantiles(v, (0.025, 0.5, 0.975)).tolist() for name, v in values.items()}
 
 
-def _against_finite_elements(solves: PadSolves, progress: Callable[[str], None]) -> dict[str, Any]:
+def _against_finite_elements(solves: PadSolves) -> dict[str, Any]:
     """Return the gel's and CalculiX's forces of one press, on two meshes of a round pad as large.
 
     CalculiX's may be missing where it fails; all are where it is not installed.
@@ -165,7 +164,7 @@ def _against_finite_elements(solves: PadSolves, progress: Callable[[str], None])
     own = solves.force_n(state, ball(), poses_at(CHECKED_DEPTH_M))[1:, 2]
     rows = []
     for spacing in CHECKED_SPACING_M:
-        progress(f"pad: CalculiX, elements of {1e3 * spacing:g} mm")
+        print(f"pad: CalculiX, elements of {1e3 * spacing:g} mm")
         settings = AxisymmetricSettings(
             spacing, 6.5e-3, 0.6 * spacing, StepControl(first=0.1, largest=0.1)
         )
@@ -182,7 +181,7 @@ def _against_finite_elements(solves: PadSolves, progress: Callable[[str], None])
         try:
             steps = solve_section(deck, time_limit_s=600.0).steps
         except (CalculixMissingError, CalculixError) as error:
-            progress(f"pad: {error}")
+            print(f"pad: {error}")
             steps = ()
         rows.append(
             {"spacing_mm": 1e3 * spacing, "force_n": [float(step.force_n[2]) for step in steps]}
@@ -203,12 +202,10 @@ def _makers(table: PadTable, press: ForceDepth) -> dict[str, Any]:
     return {"force_n": force, "ratio": (np.array(force) / press.force_n).tolist()}
 
 
-def _proposals(
-    solves: PadSolves, compared: list[Explained], progress: Callable[[str], None]
-) -> list[dict[str, Any]]:
+def _proposals(solves: PadSolves, compared: list[Explained]) -> list[dict[str, Any]]:
     rows = []
     for proposal in proposals() if len(compared) > 1 else ():
-        progress(f"pad: {proposal.name}")
+        print(f"pad: {proposal.name}")
         answers = [answer_to(solves, proposal, one) for one in compared]
         nearest, farthest = separations(answers, relative=proposal.relative)
         rows.append(

@@ -19,15 +19,9 @@ from dotsim_ros.geometry.indenter import Indenter, IndenterKind
 from dotsim_ros.geometry.surface import meridian
 from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.specification import ContactSpecification, GelSpecification
-from studies.reference.deck import (
-    EARLY_M,
-    MM,
-    NEVER,
-    WEDGE_THICKNESS_M,
-    StepControl,
-    contact_lines,
-    material_lines,
-)
+from studies.reference import blocks
+from studies.reference.blocks import MM, StepControl
+from studies.reference.deck import EARLY_M, WEDGE_THICKNESS_M
 from studies.reference.mesh import growing_marks, halved_marks
 
 WEDGE_COUNT = 180
@@ -35,6 +29,10 @@ WEDGE_COUNT = 180
 
 GROWTH = 1.15
 """Ratio of the sizes of two neighbouring elements away from the contact."""
+
+CORNERS_AND_MIDDLES = ((0, 2), (2, 2), (2, 0), (0, 0), (1, 2), (2, 1), (1, 0), (0, 1))
+"""Places of an element's nodes, in half cells along and across: from the base outwards, along the
+skin inwards, and back."""
 
 
 @dataclass(frozen=True)
@@ -134,10 +132,10 @@ def section_of(place_m: FloatArray, *, bonded_side: bool) -> GelSection:
     rows, columns = np.arange(place_m.shape[0]), np.arange(place_m.shape[1])
     is_node = (rows[:, None] % 2 == 0) | (columns % 2 == 0)
     number = np.where(is_node, np.cumsum(is_node).reshape(is_node.shape) - 1, -1)
-    # From the base outwards, along the skin inwards, and back.
-    corners = ((0, 2), (2, 2), (2, 0), (0, 0), (1, 2), (2, 1), (1, 0), (0, 1))
     last, deepest = len(rows) - 2, len(columns) - 2
-    element = np.stack([number[i : i + last : 2, j : j + deepest : 2] for i, j in corners], axis=-1)
+    element = np.stack(
+        [number[i : i + last : 2, j : j + deepest : 2] for i, j in CORNERS_AND_MIDDLES], axis=-1
+    )
     fixed = np.concatenate([number[:, -1], number[-1] if bonded_side else []]).astype(np.int64)
     bonded = np.unique(fixed[fixed >= 0])
     return GelSection(
@@ -208,49 +206,27 @@ class AxisymmetricDeck:
         section, local = self.section, self.indenter_nodes_m()
         first, per_layer = len(section.node_m) + 1, local.shape[1]
         start = local.reshape(-1, 2) + np.array([0.0, self.apex_m - self.depth_m[0]])
-        yield "*NODE, NSET=GEL"
-        yield from _rows(1, section.node_m)
-        yield "*NODE, NSET=INDENTER"
-        yield from _rows(first, start)
-        yield "*ELEMENT, TYPE=CAX8R, ELSET=GEL"
-        for number, nodes in enumerate((section.element + 1).tolist(), start=1):
-            yield f"{number}, {', '.join(map(str, nodes))}"
-        yield "*ELEMENT, TYPE=CAX8R, ELSET=INDENTER"
-        pattern = ((0, 2), (2, 2), (2, 0), (0, 0), (1, 2), (2, 1), (1, 0), (0, 1))
-        for k, begin in enumerate(range(0, per_layer - 2, 2), start=len(section.element) + 1):
-            nodes = [first + begin + i + layer * per_layer for i, layer in pattern]
-            yield f"{k}, {', '.join(map(str, nodes))}"
-        for name, members in (
-            ("BONDED", section.bonded),
-            ("AXIS", section.on_axis),
-            ("SKIN", section.skin_node),
-        ):
-            yield f"*NSET, NSET={name}"
-            yield from (f"{number + 1}," for number in members.tolist())
-        yield "*SURFACE, NAME=SKIN_FACES, TYPE=ELEMENT"
-        yield from (f"{number + 1}, S3" for number in section.skin_element.tolist())
-        yield "*SURFACE, NAME=INDENTER_FACES, TYPE=ELEMENT"
-        yield "INDENTER, S1"
-        yield from material_lines(self.law)
-        yield from contact_lines(self.law, self.contact)
-        yield "*BOUNDARY"
-        yield "BONDED, 1, 2"
-        yield "AXIS, 1, 1"
-        yield "INDENTER, 1, 1"
-        c = self.settings.control
+        layer, along = np.array(CORNERS_AND_MIDDLES).T[::-1]
+        begin = np.arange(0, per_layer - 2, 2)[:, None]
+        yield from blocks.node_lines("GEL", 1, section.node_m)
+        yield from blocks.node_lines("INDENTER", first, start)
+        yield from blocks.element_lines("CAX8R", "GEL", 1, section.element + 1)
+        elements = first + begin + along + layer * per_layer
+        yield from blocks.element_lines("CAX8R", "INDENTER", len(section.element) + 1, elements)
+        yield from blocks.set_lines("BONDED", section.bonded + 1)
+        yield from blocks.set_lines("AXIS", section.on_axis + 1)
+        yield from blocks.set_lines("SKIN", section.skin_node + 1)
+        yield from blocks.surface_lines("SKIN_FACES", section.skin_element + 1, "S3")
+        yield from blocks.surface_lines("INDENTER_FACES", ["INDENTER"], "S1")
+        yield from blocks.matter_lines("SILICONE", blocks.law_lines(self.law), "GEL")
+        yield from blocks.rigid_lines("INDENTER")
+        yield from blocks.contact_lines(self.law, self.contact)
+        yield from ("*BOUNDARY", "BONDED, 1, 2", "AXIS, 1, 1", "INDENTER, 1, 1")
+        control = self.settings.control
         for depth_m in self.depth_m[1:]:
-            yield f"*STEP, NLGEOM, INC={c.count}"
-            yield "*STATIC"
-            yield f"{c.first}, 1.0, {c.smallest}, {c.largest}"
-            yield "*BOUNDARY"
-            yield f"INDENTER, 2, 2, {-MM * (depth_m - self.depth_m[0]):.9e}"
-            yield f"*NODE PRINT, NSET=SKIN, FREQUENCY={NEVER}"
-            yield "U"
-            yield f"*NODE PRINT, NSET=INDENTER, FREQUENCY={NEVER}"
-            yield "RF"
-            yield "*END STEP"
-
-
-def _rows(first: int, values_m: FloatArray) -> Iterator[str]:
-    for number, (across, height) in enumerate((MM * values_m).tolist(), start=first):
-        yield f"{number}, {across:.9e}, {height:.9e}, 0.0"
+            yield from blocks.step_lines(
+                control.count,
+                control.procedure_lines(),
+                [f"INDENTER, 2, 2, {-MM * (depth_m - self.depth_m[0]):.9e}"],
+                {"SKIN": "U", "INDENTER": "RF"},
+            )

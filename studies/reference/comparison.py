@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -31,53 +30,6 @@ CONTACT_BAND_M = 0.1e-3
 """Skin of the reference this close to the indenter is the contact region."""
 
 
-@dataclass(frozen=True)
-class FrameComparison:
-    """One frame; errors are ours minus the reference's.
-
-    Attributes:
-        frame: its number in the trajectory.
-        reference_force_n, our_force_n: (3,) of the gel on the indenter.
-        normal_n, tangential_n: the reference's force along the indenter's axis and across it.
-        normal_error: of the force along the indenter's axis, as a share of the reference's.
-        tangential_error: length of the rest of the difference, as a share of the same.
-        force_error: length of the whole difference, as a share of the reference's force.
-        skin_rms_m, skin_max_m: distance of corresponding points, over the whole dome.
-        contact_rms_m: over the contact region.
-        converged: whether our solver met its tolerance.
-    """
-
-    frame: int
-    reference_force_n: FloatArray
-    our_force_n: FloatArray
-    normal_n: float
-    tangential_n: float
-    normal_error: float
-    tangential_error: float
-    force_error: float
-    skin_rms_m: float
-    skin_max_m: float
-    contact_rms_m: float
-    converged: bool
-
-    def figures(self) -> dict[str, Any]:
-        """Return the frame as plain values, lengths in mm."""
-        return {
-            "frame": self.frame,
-            "force_n": self.reference_force_n.tolist(),
-            "our_force_n": self.our_force_n.tolist(),
-            "normal_n": self.normal_n,
-            "tangential_n": self.tangential_n,
-            "normal_error": self.normal_error,
-            "tangential_error": self.tangential_error,
-            "force_error": self.force_error,
-            "skin_rms_mm": 1e3 * self.skin_rms_m,
-            "skin_max_mm": 1e3 * self.skin_max_m,
-            "contact_rms_mm": 1e3 * self.contact_rms_m,
-            "converged": self.converged,
-        }
-
-
 def _root_mean_square(distance: FloatArray, weight: FloatArray) -> float:
     total = float(weight.sum())
     return float(np.sqrt((weight * distance**2).sum() / total)) if total > 0.0 else float("nan")
@@ -88,9 +40,7 @@ def compare(
     skin: SkinMesh,
     indenter: Indenter,
     trajectory: Trajectory,
-    *,
-    progress: Callable[[float], None] | None = None,
-) -> list[FrameComparison]:
+) -> list[dict[str, Any]]:
     """Return the comparison of every solved frame with contact.
 
     Args:
@@ -98,7 +48,15 @@ def compare(
         skin: whose vertices the trajectory lists.
         indenter: the rigid shape.
         trajectory: with poses, skin and wrench; the first frame is without contact.
-        progress: called with the finished share of tables that are computed once and cached.
+
+    Returns:
+        Of each frame, with errors ours minus the reference's: `frame`, its number; `force_n` and
+        `our_force_n` (3,) of the gel on the indenter; of the reference's force `normal_n` along the
+        indenter's axis and `tangential_n` across it; `normal_error` along that axis and
+        `tangential_error`, the length of the rest of the difference, as shares of the normal force;
+        `force_error`, the length of the whole difference, as a share of the whole force;
+        `skin_rms_mm` and `skin_max_mm`, distances of corresponding points over the whole dome, and
+        `contact_rms_mm` over the contact region; `converged`, whether our solver met its tolerance.
 
     Raises:
         ValueError: the trajectory lacks poses, skin or wrench, or our gel refuses a pose.
@@ -106,7 +64,7 @@ def compare(
     if trajectory.pose is None or trajectory.skin is None or trajectory.wrench is None:
         raise ValueError("a reference trajectory needs poses, skin and wrench")
     quasi_static = replace(specification, solver=replace(specification.solver, dynamic=False))
-    gel = make_gel(quasi_static, skin, indenter, progress=progress)
+    gel = make_gel(quasi_static, skin, indenter)
     found = []
     poses = trajectory.pose.poses()
     gel.step(poses[0], STEP_S)
@@ -120,21 +78,21 @@ def compare(
         force, axis = trajectory.wrench.force_n[frame], pose.rotation()[:, 2]
         difference = ours.wrench.force_n - force
         normal, normal_difference = float(force @ axis), float(difference @ axis)
-        scale = abs(normal)
+        across = difference - normal_difference * axis
         found.append(
-            FrameComparison(
-                frame,
-                force,
-                ours.wrench.force_n,
-                normal,
-                float(np.linalg.norm(force - normal * axis)),
-                normal_difference / scale,
-                float(np.linalg.norm(difference - normal_difference * axis)) / scale,
-                float(np.linalg.norm(difference) / np.linalg.norm(force)),
-                _root_mean_square(distance, skin.rest_area_m2),
-                float(distance.max()),
-                _root_mean_square(distance, skin.rest_area_m2 * near),
-                ours.converged,
-            )
+            {
+                "frame": frame,
+                "force_n": force.tolist(),
+                "our_force_n": ours.wrench.force_n.tolist(),
+                "normal_n": normal,
+                "tangential_n": float(np.linalg.norm(force - normal * axis)),
+                "normal_error": normal_difference / abs(normal),
+                "tangential_error": float(np.linalg.norm(across)) / abs(normal),
+                "force_error": float(np.linalg.norm(difference) / np.linalg.norm(force)),
+                "skin_rms_mm": 1e3 * _root_mean_square(distance, skin.rest_area_m2),
+                "skin_max_mm": 1e3 * float(distance.max()),
+                "contact_rms_mm": 1e3 * _root_mean_square(distance, skin.rest_area_m2 * near),
+                "converged": ours.converged,
+            }
         )
     return found

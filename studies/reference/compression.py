@@ -9,21 +9,19 @@ onto the plate, which reaches beyond the cylinder; what has folded slides on it.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
 from dotsim_ros.io.arrays import FloatArray
+from studies.reference import blocks
 from studies.reference.axisymmetric import WEDGE_COUNT, section_of
-from studies.reference.deck import MEGAPASCAL, MM, NEVER, StepControl, hyperelastic_lines
+from studies.reference.blocks import MEGAPASCAL, MM, StepControl
 from studies.reference.mesh import halved_marks
-from studies.reference.run import JOB, execute, failure_of, read_tables
+from studies.reference.run import run
 
-_HELD = ("forces", "HELD")
 PLATE_REACH = 2.0
 """Radius of the plate over the cylinder's: at two thirds an incompressible one is 1.73 wide."""
 PLATE_STIFFNESS = 5.0
@@ -75,61 +73,36 @@ class Compression:
         section = section_of(self.place_m(), bonded_side=False)
         plate = section_of(self.plate_m(), bonded_side=False)
         at, count = section.node_m, len(section.element)
-        for name, first, nodes_m in (("GEL", 1, at), ("PLATE", len(at) + 1, plate.node_m)):
-            yield f"*NODE, NSET={name}"
-            for number, (across, height) in enumerate((MM * nodes_m).tolist(), start=first):
-                yield f"{number}, {across:.9e}, {height:.9e}, 0.0"
-        for name, first, elements in (
-            ("GEL", 1, section.element + 1),
-            ("PLATE", count + 1, plate.element + len(at) + 1),
-        ):
-            yield f"*ELEMENT, TYPE=CAX8R, ELSET={name}"
-            for number, nodes in enumerate(elements.tolist(), start=first):
-                yield f"{number}, {', '.join(map(str, nodes))}"
-        for name, members in (
-            ("TOP", section.skin_node),
-            ("MIDDLE", section.bonded),
-            ("AXIS", np.flatnonzero(at[:, 0] < 1e-12)),
-        ):
-            yield f"*NSET, NSET={name}"
-            yield from (f"{number + 1}," for number in members.tolist())
-        yield "*NSET, NSET=HELD"
-        yield "TOP, PLATE"
-        yield "*SURFACE, NAME=SIDE, TYPE=ELEMENT"
-        rows = len(section.skin_element)
+        yield from blocks.node_lines("GEL", 1, at)
+        yield from blocks.node_lines("PLATE", len(at) + 1, plate.node_m)
+        yield from blocks.element_lines("CAX8R", "GEL", 1, section.element + 1)
+        yield from blocks.element_lines("CAX8R", "PLATE", count + 1, plate.element + len(at) + 1)
+        yield from blocks.set_lines("TOP", section.skin_node + 1)
+        yield from blocks.set_lines("MIDDLE", section.bonded + 1)
+        yield from blocks.set_lines("AXIS", np.flatnonzero(at[:, 0] < 1e-12) + 1)
+        yield from ("*NSET, NSET=HELD", "TOP, PLATE")
         # The second edge of an element in the outermost column is the side's.
-        yield from (f"{number}, S2" for number in range(count - count // rows + 1, count + 1))
-        yield "*SURFACE, NAME=PLATE_FACE, TYPE=ELEMENT"
-        yield "PLATE, S1"
-        yield "*MATERIAL, NAME=SILICONE"
-        yield from hyperelastic_lines(self.law)
-        yield "*MATERIAL, NAME=RIGID"
-        yield "*ELASTIC"
-        yield "1.0, 0.3"
-        yield "*SOLID SECTION, ELSET=GEL, MATERIAL=SILICONE"
-        yield "*SOLID SECTION, ELSET=PLATE, MATERIAL=RIGID"
+        outermost = count // len(section.skin_element)
+        yield from blocks.surface_lines("SIDE", range(count - outermost + 1, count + 1), "S2")
+        yield from blocks.surface_lines("PLATE_FACE", ["PLATE"], "S1")
+        yield from blocks.matter_lines("SILICONE", blocks.law_lines(self.law), "GEL")
+        yield from blocks.rigid_lines("PLATE")
         youngs_modulus, _ = small_strain_moduli_pa(self.law)
         yield "*SURFACE INTERACTION, NAME=TOUCH"
         yield "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR"
         yield f"{PLATE_STIFFNESS * MEGAPASCAL * youngs_modulus / (MM * self.spacing_m):.9e}"
         yield "*CONTACT PAIR, INTERACTION=TOUCH, TYPE=NODE TO SURFACE"
         yield "SIDE, PLATE_FACE"
-        yield "*BOUNDARY"
-        yield "PLATE, 1, 1"
-        yield "MIDDLE, 2, 2"
-        yield "AXIS, 1, 1"
+        yield from ("*BOUNDARY", "PLATE, 1, 1", "MIDDLE, 2, 2", "AXIS, 1, 1")
         if self.is_stuck:
             yield "TOP, 1, 1"
-        c = self.control
         for share in self.share:
-            yield f"*STEP, NLGEOM, INC={c.count}"
-            yield "*STATIC"
-            yield f"{c.first}, 1.0, {c.smallest}, {c.largest}"
-            yield "*BOUNDARY"
-            yield f"HELD, 2, 2, {-0.5 * MM * share * self.height_m:.9e}"
-            yield f"*NODE PRINT, NSET=HELD, FREQUENCY={NEVER}"
-            yield "RF"
-            yield "*END STEP"
+            yield from blocks.step_lines(
+                self.control.count,
+                self.control.procedure_lines(),
+                [f"HELD, 2, 2, {-0.5 * MM * share * self.height_m:.9e}"],
+                {"HELD": "RF"},
+            )
 
 
 @dataclass(frozen=True)
@@ -159,12 +132,7 @@ def compressed(problem: Compression, *, time_limit_s: float | None = None) -> Co
         CalculixError: it solved no step.
         ValueError: it has no form of the law.
     """
-    with tempfile.TemporaryDirectory(prefix="dotsim_reference_") as folder:
-        text = problem.text()
-        reason = execute(text, Path(folder), thread_count=1, time_limit_s=time_limit_s)
-        tables = read_tables(Path(folder) / f"{JOB}.dat")
-    held = [rows for quantity, name, rows in tables if (quantity, name) == _HELD]
-    failure = failure_of(len(held), len(problem.share), reason)
-    share = np.asarray(problem.share[: len(held)])
-    force = [-WEDGE_COUNT * float(rows[:, 2].sum()) for rows in held]
-    return Compressed(share, np.asarray(force), failure)
+    printed = run(problem.text(), held="HELD", time_limit_s=time_limit_s)
+    force = [-WEDGE_COUNT * float(rows[:, 2].sum()) for rows in printed.held]
+    share = np.asarray(problem.share[: len(force)])
+    return Compressed(share, np.asarray(force), printed.failure(len(problem.share)))

@@ -21,7 +21,8 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.surface import indenter_surface
 from dotsim_ros.specification import SensorSpecification
 from studies.reference.axisymmetric import AxisymmetricSettings
-from studies.reference.deck import Deck, StepControl, near_part
+from studies.reference.blocks import StepControl
+from studies.reference.deck import Deck, near_part
 from studies.reference.mesh import dome_mesh, pressed_place
 
 START_GAP_M = 20e-6

@@ -25,9 +25,8 @@ from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.specification import load_sensor
 from studies.reference.axisymmetric import AxisymmetricSettings
 from studies.reference.comparison import compare
-from studies.reference.data_set import FINE_STEP_M
 from studies.reference.press import ReferencePress, ReferenceSettings
-from studies.reference.results import solved_press
+from studies.reference.results import FINE_STEP_M, solved_press
 from studies.reference.run import CalculixError, calculix_version
 
 
@@ -133,8 +132,8 @@ def reference_presses(
                 continue
             data_set.add(trajectory, indenter, notes, failure=solution.failure)
             for row in compare(specification, skin, indenter, trajectory):
-                iterations = solution.steps[row.frame - 1].iterations
-                rows.append({"trajectory": press.name, "iterations": iterations, **row.figures()})
+                iterations = solution.steps[row["frame"] - 1].iterations
+                rows.append({"trajectory": press.name, "iterations": iterations, **row})
             if solution.failure:
                 failed[press.name] = solution.failure
             print(f"{press.name}: {solution.failure or 'solved'}")

@@ -1,25 +1,40 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Presses that CalculiX has solved as trajectories of a data set."""
+"""Presses that CalculiX has solved: trajectories of a data set with what they were solved for."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.data.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from dotsim_ros.data.data_set import INDEX, find_indenter, read_data_set
+from dotsim_ros.data.trajectory import (
+    PoseChannel,
+    SkinChannel,
+    Trajectory,
+    WrenchChannel,
+    read_trajectory,
+)
 from dotsim_ros.gel.make import law_of
+from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import read_yaml
+from dotsim_ros.specification import SensorSpecification, sensor_from
 from studies.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, dome_section
 from studies.reference.mesh import interpolate_skin
 from studies.reference.press import ReferencePress, reference_deck
 from studies.reference.run import Solution, SolvedStep, solve, solve_section
+
+FINE_STEP_M = 50e-6
+"""Length of the edges in an indenter's mesh, so that it is none of what two solvers differ by."""
 
 SPEED_M_S = 0.005
 FIRST_STAMP_NS = 1_000_000_000
@@ -125,3 +140,46 @@ def _solved_section(
         )
         moved.append(np.concatenate([sideways[:, None] * direction, up[:, None]], axis=1))
     return _trajectory(poses, moved, solution.steps, skin, press.name), solution
+
+
+@dataclass(frozen=True)
+class SolvedPress:
+    """A trajectory with what it was solved for.
+
+    Attributes:
+        specification: the sensor: name, gel, material and contact.
+        indenter: of the mesh that the data set holds.
+        trajectory: its frames; fewer than asked for where CalculiX stopped.
+        notes: of the index.
+    """
+
+    specification: SensorSpecification
+    indenter: Indenter
+    trajectory: Trajectory
+    notes: Mapping[str, Any]
+
+
+def read_solved_presses(directory: Path) -> tuple[SkinMesh, list[SolvedPress]]:
+    """Return skin and presses of a data set that `python -m studies reference_presses` wrote.
+
+    Raises:
+        FileNotFoundError: there is no data set.
+        ValueError: an entry does not state what it was solved for, so it is not a reference's.
+    """
+    data_set = read_data_set(directory)
+    content = read_yaml(directory / INDEX)
+    indenters: dict[str, Indenter] = {}
+    presses = []
+    for entry, record in zip(data_set.entries, content["trajectories"], strict=True):
+        if "sensor" not in record:
+            raise ValueError(
+                f"{directory / INDEX}: {entry.name} names no sensor that it was solved for; "
+                "expected a data set that python -m studies reference_presses wrote"
+            )
+        sensor = sensor_from(record["sensor"], f"{directory / INDEX}, {entry.name}")
+        if entry.indenter not in indenters:
+            indenters[entry.indenter] = find_indenter(data_set, entry.indenter)
+        # A spacing's decimal point in the name is no suffix.
+        trajectory = replace(read_trajectory(entry.bag), name=entry.name)
+        presses.append(SolvedPress(sensor, indenters[entry.indenter], trajectory, record))
+    return data_set.skin_mesh(), presses

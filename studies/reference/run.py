@@ -12,19 +12,20 @@ import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dotsim_ros.io.arrays import FloatArray
 from studies.reference.axisymmetric import WEDGE_COUNT, AxisymmetricDeck
-from studies.reference.deck import MM, Deck
+from studies.reference.blocks import MM
+from studies.reference.deck import Deck
 
 EXECUTABLES = ("ccx", "ccx_2.21", "ccx_2.22", "ccx_2.20")
 INSTALL = "apt-get install calculix-ccx"
 JOB = "press"
 
 _HEADING = re.compile(r"^ (displacements|forces).* for set (\w+) and time\s+(\S+)")
-_SKIN_MOVED, _INDENTER_HELD = ("displacements", "SKIN"), ("forces", "INDENTER")
 _ERROR = re.compile(r"\*ERROR.*")
 
 
@@ -94,69 +95,104 @@ def calculix_version() -> str:
     return found.group(1) if found else "unknown"
 
 
-def solve(
-    deck: Deck,
+@dataclass(frozen=True)
+class Printed:
+    """What a run has printed at the end of each step that it has solved.
+
+    Attributes:
+        moved: rows (node, x, y, z) of the displacements of the skin, mm.
+        held: rows of the forces that hold or move the other body, N.
+        effort: increments and iterations.
+        reason: why it ended before its end; empty where it did not.
+    """
+
+    moved: list[FloatArray]
+    held: list[FloatArray]
+    effort: list[tuple[int, int]]
+    reason: str
+
+    def failure(self, step_count: int) -> str:
+        """Return why some of so many steps were not solved, empty where all were.
+
+        Raises:
+            CalculixError: no step was solved.
+        """
+        solved = len(self.held)
+        if solved == 0:
+            raise CalculixError(f"CalculiX solved no step: {self.reason}")
+        if solved == step_count:
+            return ""
+        return f"CalculiX stopped after {solved} of {step_count} frames: {self.reason}"
+
+
+def run(
+    text: str,
     *,
+    held: str,
     thread_count: int = 1,
     keep: Path | None = None,
     time_limit_s: float | None = None,
-) -> Solution:
-    """Run CalculiX on a deck.
+) -> Printed:
+    """Run CalculiX.
 
     Args:
-        deck: what to compute.
+        text: of the input file.
+        held: set of nodes whose forces are printed; the displacements are those of SKIN.
         thread_count: of CalculiX's equation solver.
         keep: folder for its files; without it they are removed.
         time_limit_s: it is ended after this long, and what it has solved by then is returned.
 
     Raises:
         CalculixMissingError: it is not installed.
-        CalculixError: it solved no step at all.
     """
     with tempfile.TemporaryDirectory(prefix="dotsim_reference_") as temporary:
         folder = Path(temporary) if keep is None else keep
-        reason = execute(deck.text(), folder, thread_count=thread_count, time_limit_s=time_limit_s)
-        steps = read_steps(folder, deck)
-    return Solution(steps, failure_of(len(steps), len(deck.poses) - 1, reason))
-
-
-def solve_section(
-    deck: AxisymmetricDeck,
-    *,
-    thread_count: int = 1,
-    keep: Path | None = None,
-    time_limit_s: float | None = None,
-) -> Solution:
-    """As `solve`, for a problem of two dimensions: node displacements have no y."""
-    with tempfile.TemporaryDirectory(prefix="dotsim_reference_") as temporary:
-        folder = Path(temporary) if keep is None else keep
-        reason = execute(deck.text(), folder, thread_count=thread_count, time_limit_s=time_limit_s)
-        efforts = read_efforts(folder / f"{JOB}.sta")
+        reason = execute(text, folder, thread_count=thread_count, time_limit_s=time_limit_s)
         tables = read_tables(folder / f"{JOB}.dat")
-    skin = [rows for quantity, name, rows in tables if (quantity, name) == _SKIN_MOVED]
-    held = [rows for quantity, name, rows in tables if (quantity, name) == _INDENTER_HELD]
+        efforts = read_efforts(folder / f"{JOB}.sta")
+    moved, forces = (
+        [rows for *of, rows in tables if of == asked]
+        for asked in (["displacements", "SKIN"], ["forces", held])
+    )
+    count = min(len(moved), len(forces)) if moved else len(forces)
+    effort = [efforts.get(number, (0, 0)) for number in range(1, count + 1)]
+    return Printed(moved[:count], forces[:count], effort, reason)
+
+
+def solve(deck: Deck, **effort: Any) -> Solution:
+    """Run CalculiX on a deck; further arguments are those of `run`.
+
+    Raises:
+        CalculixMissingError: it is not installed.
+        CalculixError: it solved no step at all.
+    """
+    printed = run(deck.text(), held="INDENTER", **effort)
+    local = deck.indenter_nodes_m()
     steps = []
-    for number, (moved, reaction) in enumerate(zip(skin, held, strict=False), start=1):
+    for moved, held, pose, spent in zip(
+        printed.moved, printed.held, deck.poses[1:], printed.effort, strict=False
+    ):
+        displacement = np.zeros((deck.gel_node_count, 3))
+        displacement[moved[:, 0].astype(np.int64) - 1] = moved[:, 1:] / MM
+        node = held[:, 0].astype(np.int64) - 1 - deck.gel_node_count
+        # The force that holds the indenter is opposite to the one that the gel exerts.
+        force = -held[:, 1:]
+        torque = np.cross(pose.apply(local[node]), force).sum(axis=0)
+        steps.append(SolvedStep(displacement, force.sum(axis=0), torque, *spent))
+    return Solution(tuple(steps), printed.failure(len(deck.poses) - 1))
+
+
+def solve_section(deck: AxisymmetricDeck, **effort: Any) -> Solution:
+    """As `solve`, for a problem of two dimensions: node displacements have no y."""
+    printed = run(deck.text(), held="INDENTER", **effort)
+    steps = []
+    for moved, held, spent in zip(printed.moved, printed.held, printed.effort, strict=True):
         displacement = np.zeros((len(deck.section.node_m), 3))
         node = moved[:, 0].astype(np.int64) - 1
         displacement[node, 0], displacement[node, 2] = moved[:, 1] / MM, moved[:, 2] / MM
-        # The force that holds the indenter is opposite to the one that the gel exerts.
-        force = np.array([0.0, 0.0, -WEDGE_COUNT * float(reaction[:, 2].sum())])
-        steps.append(SolvedStep(displacement, force, np.zeros(3), *efforts.get(number, (0, 0))))
-    return Solution(tuple(steps), failure_of(len(steps), len(deck.depth_m) - 1, reason))
-
-
-def failure_of(solved_count: int, step_count: int, reason: str) -> str:
-    """Return the message for a run that ended for a reason, empty where all steps were solved.
-
-    Raises:
-        CalculixError: no step was solved.
-    """
-    if solved_count == 0:
-        raise CalculixError(f"CalculiX solved no step: {reason}")
-    if solved_count == step_count:
-        return ""
-    return f"CalculiX stopped after {solved_count} of {step_count} frames: {reason}"
+        force = np.array([0.0, 0.0, -WEDGE_COUNT * float(held[:, 2].sum())])
+        steps.append(SolvedStep(displacement, force, np.zeros(3), *spent))
+    return Solution(tuple(steps), printed.failure(len(deck.depth_m) - 1))
 
 
 def execute(text: str, folder: Path, *, thread_count: int, time_limit_s: float | None) -> str:
@@ -193,38 +229,6 @@ def execute(text: str, folder: Path, *, thread_count: int, time_limit_s: float |
     if errors:
         return str(errors[-1]).strip()
     return "" if status == 0 else f"it ended with status {status}"
-
-
-def read_steps(folder: Path, deck: Deck) -> tuple[SolvedStep, ...]:
-    """Return the steps whose results are in the folder of a run."""
-    efforts = read_efforts(folder / f"{JOB}.sta")
-    skin: list[FloatArray] = []
-    forces: list[FloatArray] = []
-    for quantity, name, rows in read_tables(folder / f"{JOB}.dat"):
-        if (quantity, name) == _SKIN_MOVED:
-            skin.append(rows)
-        elif (quantity, name) == _INDENTER_HELD:
-            forces.append(rows)
-    local = deck.indenter_nodes_m()
-    steps = []
-    for index, (moved, reaction) in enumerate(zip(skin, forces, strict=False)):
-        displacement = np.zeros((deck.gel_node_count, 3))
-        displacement[moved[:, 0].astype(np.int64) - 1] = moved[:, 1:] / MM
-        node = reaction[:, 0].astype(np.int64) - 1 - deck.gel_node_count
-        # The force that holds the indenter is opposite to the one that the gel exerts.
-        force = -reaction[:, 1:]
-        arm = deck.poses[index + 1].apply(local[node])
-        increments, iterations = efforts.get(index + 1, (0, 0))
-        steps.append(
-            SolvedStep(
-                displacement,
-                force.sum(axis=0),
-                np.cross(arm, force).sum(axis=0),
-                increments,
-                iterations,
-            )
-        )
-    return tuple(steps)
 
 
 def read_tables(path: Path) -> list[tuple[str, str, FloatArray]]:

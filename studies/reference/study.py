@@ -39,10 +39,9 @@ from dotsim_ros.specification import (
     load_sensor,
 )
 from studies.reference.axisymmetric import AxisymmetricSettings
-from studies.reference.comparison import FrameComparison, compare
-from studies.reference.data_set import FINE_STEP_M, SolvedPress, read_solved_presses
+from studies.reference.comparison import compare
 from studies.reference.press import ReferencePress, ReferenceSettings
-from studies.reference.results import solved_press
+from studies.reference.results import FINE_STEP_M, SolvedPress, read_solved_presses, solved_press
 from studies.reference.run import CalculixError, calculix_version
 
 TARGET_SKIN_RMS_MM = 0.08
@@ -80,10 +79,10 @@ OTHERS = (
 )
 
 
-def two_bumps(radius_m: float = 2.0e-3, distance_m: float = 5.2e-3) -> Indenter:
+def two_bumps() -> Indenter:
     """Return two balls side by side along x."""
-    ball = indenter_surface(sphere(radius_m), 0.15e-3)
-    aside = np.array([0.5 * distance_m, 0.0, 0.0])
+    ball = indenter_surface(sphere(2.0e-3), 0.15e-3)
+    aside = np.array([2.6e-3, 0.0, 0.0])
     vertices = np.concatenate([ball.vertices_m - aside, ball.vertices_m + aside])
     triangles = np.concatenate([ball.triangles, ball.triangles + len(ball.vertices_m)])
     mesh = IndenterMesh(vertices, triangles.astype(np.int32))
@@ -191,34 +190,27 @@ def solve_missing(
     return failures
 
 
-def comparison(press: SolvedPress, method: Method) -> list[FrameComparison]:
-    """Return the errors of our gel at one resolution in a press."""
-    solver = replace(
-        press.specification.solver, grid_spacing_m=method.spacing_m, refined=method.refined
-    )
-    specification = replace(press.specification, solver=solver)
-    return compare(specification, skin_of(specification.gel), press.indenter, press.trajectory)
-
-
 def rows_of(press: SolvedPress, method: Method) -> list[dict[str, Any]]:
     """Return a row a frame."""
     assert press.trajectory.pose is not None
+    own = press.specification
+    solver = replace(own.solver, grid_spacing_m=method.spacing_m, refined=method.refined)
+    specification = replace(own, solver=solver)
     request = press.notes["press"]
     tips = [pose.position_m for pose in press.trajectory.pose.poses()]
-    pressed = press.specification.gel.outer_radius_m - np.linalg.norm(tips, axis=1)
-    deepest = request["depth_m"]
+    pressed = own.gel.outer_radius_m - np.linalg.norm(tips, axis=1)
     return [
         {
             "trajectory": press.trajectory.name,
-            "law": press.specification.material.law,
+            "law": own.material.law,
             "indenter": press.notes["indenter"],
             "tilt_deg": request["tilt_deg"],
-            "depth_mm": round(1e3 * float(min(pressed[row.frame], deepest)), 3),
-            "drag_mm": round(1e3 * _dragged_m(tips, row.frame, request["frame_count"]), 3),
+            "depth_mm": round(1e3 * float(min(pressed[row["frame"]], request["depth_m"])), 3),
+            "drag_mm": round(1e3 * _dragged_m(tips, row["frame"], request["frame_count"]), 3),
             "method": method.name,
-            **row.figures(),
+            **row,
         }
-        for row in comparison(press, method)
+        for row in compare(specification, skin_of(own.gel), press.indenter, press.trajectory)
     ]
 
 
@@ -308,20 +300,6 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     }
 
 
-def totals(
-    rows: Sequence[dict[str, Any]], presses: Sequence[SolvedPress]
-) -> dict[str, int | float]:
-    """Return how many frames of how many presses are within the targets, as others read them."""
-    found = summary(rows)
-    return {
-        "frames": found["frames"],
-        "within_force_target": found["force_met"],
-        "skin_rms_max_mm": found["skin_rms_worst_mm"],
-        "presses_solved": sum("failure" not in press.notes for press in presses),
-        "presses_asked": len(cases()),
-    }
-
-
 def reference(
     *,
     out: Path = Path("out/reference"),
@@ -353,12 +331,20 @@ def reference(
         if method is DEFAULT or any(part in press.trajectory.name for part in resolutions)
         for row in rows_of(press, method)
     ]
-    methods = dict.fromkeys(row["method"] for row in rows)
+    summaries = {
+        name: summary([row for row in rows if row["method"] == name])
+        for name in dict.fromkeys(row["method"] for row in rows)
+    }
+    whole = summaries[DEFAULT.name]
     return {
         "calculix": calculix_version(),
         "targets": {"skin_rms_mm": TARGET_SKIN_RMS_MM, "force_error": TARGET_FORCE_ERROR},
-        "summary": {name: summary([r for r in rows if r["method"] == name]) for name in methods},
-        **totals([row for row in rows if row["method"] == DEFAULT.name], presses),
+        "summary": summaries,
+        "frames": whole["frames"],
+        "within_force_target": whole["force_met"],
+        "skin_rms_max_mm": whole["skin_rms_worst_mm"],
+        "presses_solved": sum("failure" not in press.notes for press in presses),
+        "presses_asked": len(cases()),
         "rows": rows,
         "own_errors": own_errors(presses),
         "failures": failures,

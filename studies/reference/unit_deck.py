@@ -17,22 +17,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dotsim_ros.gel.material import (
-    ElasticLaw,
-    NeoHookean,
-    Yeoh,
-    small_strain_moduli_pa,
-)
+from dotsim_ros.gel.material import small_strain_moduli_pa
 from dotsim_ros.io.arrays import IntArray
-from studies.reference.deck import (
-    MEGAPASCAL,
-    MM,
-    NEGLIGIBLE,
-    Deck,
-    brick_lines,
-    hyperelastic_lines,
-    listed,
-)
+from studies.reference import blocks
+from studies.reference.blocks import MEGAPASCAL, MM, NEGLIGIBLE
+from studies.reference.deck import Deck
 
 LARGEST_CREEP_CHANGE = 1.0
 """CETOL: so much that it never sets an increment."""
@@ -81,9 +70,9 @@ class OgdenStiffening:
     exponent: float = 6.0
 
     @classmethod
-    def like(cls, c20_ratio: float, exponent: float = 6.0) -> OgdenStiffening:
+    def like(cls, c20_ratio: float) -> OgdenStiffening:
         """Return the law that is to fourth order Yeoh's with a C20 of so many C10."""
-        return cls(48.0 * c20_ratio / (exponent**2 - 4.0), exponent)
+        return cls(48.0 * c20_ratio / (cls.exponent**2 - 4.0))
 
     def __post_init__(self) -> None:
         if not (0.0 < self.share < 1.0 and self.exponent > 2.0):
@@ -101,7 +90,7 @@ class OgdenStiffening:
         yield "*HYPERELASTIC, OGDEN, N=3"
         # A line holds eight constants.
         for part in (constants[:8], constants[8:]):
-            yield ", ".join(f"{constant:.9e}" for constant in part)
+            yield blocks.numbers_line(part)
 
 
 @dataclass(frozen=True)
@@ -161,40 +150,28 @@ class UnitDeck(Deck):
         return 1.0 - sum(branch.share for branch in self.branches)
 
     def matter_lines(self) -> Iterator[str]:
-        """Yield what gel and indenter consist of."""
+        """Yield what the gel consists of."""
         young_pa, bulk_pa = small_strain_moduli_pa(self.law)
         poisson = 0.5 - young_pa / (6.0 * bulk_pa)
-        yield "*MATERIAL, NAME=SILICONE"
-        yield from self._gel_lines(self.slow_share)
-        yield "*SOLID SECTION, ELSET=GEL, MATERIAL=SILICONE"
+        yield from blocks.matter_lines("SILICONE", self._gel_lines(self.slow_share), "GEL")
         count = len(self.gel.element) + len(self.surface.triangles)
         for number, branch in enumerate(self.branches, start=1):
             name, e = f"BRANCH{number}", MEGAPASCAL * young_pa * branch.share
-            yield f"*ELEMENT, TYPE=C3D20R, ELSET={name}"
-            yield from brick_lines(count + 1, self.gel.element + 1)
+            yield from blocks.element_lines("C3D20R", name, count + 1, self.gel.element + 1)
             count += len(self.gel.element)
-            yield f"*MATERIAL, NAME=OF_{name}"
-            yield "*ELASTIC"
-            yield f"{e:.9e}, {poisson:.9e}"
-            yield "*CREEP, LAW=NORTON"
             # The strain rate is A times the von Mises stress: 1 / time is 3 A times the modulus.
-            yield f"{2.0 * (1.0 + poisson) / (3.0 * e * branch.time_s):.9e}, 1.0, 0.0"
-            yield f"*SOLID SECTION, ELSET={name}, MATERIAL=OF_{name}"
+            rate = 2.0 * (1.0 + poisson) / (3.0 * e * branch.time_s)
+            elastic = ("*ELASTIC", blocks.numbers_line([e, poisson]))
+            creep = ("*CREEP, LAW=NORTON", f"{rate:.9e}, 1.0, 0.0")
+            yield from blocks.matter_lines(f"OF_{name}", (*elastic, *creep), name)
         if self.stiff is not None:
-            yield "*ELSET, ELSET=STIFF"
-            yield from listed(self.stiff.element + 1)
-            yield "*MATERIAL, NAME=STIFF"
-            yield from self._gel_lines(self.stiff.ratio)
-            # It takes the place of the section before.
-            yield "*SOLID SECTION, ELSET=STIFF, MATERIAL=STIFF"
-        yield "*MATERIAL, NAME=RIGID"
-        yield "*ELASTIC"
-        yield "1.0, 0.3"
-        yield "*SOLID SECTION, ELSET=INDENTER, MATERIAL=RIGID"
+            # Its section takes the place of the one before.
+            yield from blocks.set_lines("STIFF", self.stiff.element + 1, "ELSET")
+            yield from blocks.matter_lines("STIFF", self._gel_lines(self.stiff.ratio), "STIFF")
 
     def _gel_lines(self, share: float) -> Iterator[str]:
         if self.stiffening is None:
-            yield from hyperelastic_lines(scaled_law(self.law, share))
+            yield from blocks.law_lines(self.law, share)
             return
         c10, c01, _, _, bulk = self.law.coefficients_pa().tolist()
         yield from self.stiffening.lines(2.0 * share * (c10 + c01), share * bulk)
@@ -203,8 +180,7 @@ class UnitDeck(Deck):
         """Yield what holds the gel."""
         slips = set(self.slipping.tolist())
         held = [node for node in self.gel.bonded.tolist() if node not in slips]
-        yield "*NSET, NSET=HELD"
-        yield from listed(node + 1 for node in held)
+        yield from blocks.set_lines("HELD", [node + 1 for node in held])
         if len(self.slipping):
             yield "*EQUATION"
             for node in self.slipping.tolist():
@@ -215,8 +191,7 @@ class UnitDeck(Deck):
             return
         base = self.gel_node_count + 2 * len(self.surface.vertices_m) + 1
         springs = len(self.gel.element) * (1 + len(self.branches)) + len(self.surface.triangles)
-        yield "*NODE, NSET=BASE"
-        yield f"{base}, 0.0, 0.0, 0.0"
+        yield from blocks.node_lines("BASE", base, np.zeros((1, 3)))
         for axis in (1, 2, 3):
             yield f"*ELEMENT, TYPE=SPRING1, ELSET=SPRING{axis}"
             yield f"{springs + axis}, {base}"
@@ -246,18 +221,4 @@ class UnitDeck(Deck):
         yield f"*VISCO, CETOL={LARGEST_CREEP_CHANGE}"
         longest = min(1.0, CREEP_INCREMENT_S / duration)
         increments = (min(c.first, longest), 1.0, c.smallest, min(c.largest, longest))
-        yield ", ".join(f"{share * duration:.9e}" for share in increments)
-
-
-def scaled_law(law: ElasticLaw, factor: float) -> ElasticLaw:
-    """Return a law of the same form whose moduli are so many times those of the given one.
-
-    Raises:
-        ValueError: a law of another form than Yeoh's or neo-Hooke's.
-    """
-    if isinstance(law, Yeoh):
-        moduli = (law.c10_pa, law.c20_pa, law.c30_pa, law.bulk_modulus_pa)
-        return Yeoh(*(factor * modulus for modulus in moduli))
-    if isinstance(law, NeoHookean):
-        return NeoHookean(factor * law.youngs_modulus_pa, law.poisson_ratio)
-    raise ValueError(f"a law of the form {type(law).__name__}, expected Yeoh or NeoHookean")
+        yield blocks.numbers_line(share * duration for share in increments)

@@ -24,6 +24,7 @@ would be millions.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -49,7 +50,6 @@ from studies.rivals.tetrahedra import (
 from studies.rivals.training import (
     MeasuredSurface,
     check_training,
-    indenter_of,
     measured_surface,
     surface_rms_m,
 )
@@ -60,6 +60,7 @@ PERIODS = 0.5
 STEP_SHARE = 0.5
 POWER_ITERATIONS = 60
 RETREAT_M = 2.5e-4
+DEVICE = "cpu"
 ROUNDS = 2
 
 
@@ -162,11 +163,10 @@ class DynamicGel:
     Args:
         mesh: its tetrahedra.
         skin: the skin on it, on which the contact acts.
-        device: Warp's name of the device.
     """
 
-    def __init__(self, mesh: TetrahedralMesh, skin: SkinMesh, *, device: str = "cpu") -> None:
-        self.mesh, self.skin, self.device = mesh, skin, device
+    def __init__(self, mesh: TetrahedralMesh, skin: SkinMesh) -> None:
+        self.mesh, self.skin = mesh, skin
         self.skin_weight = attach_skin(mesh, skin)
         edges = edge_matrices(mesh.position_m, mesh.tetrahedra)
         volume = np.linalg.det(edges) / 6.0
@@ -193,7 +193,7 @@ class DynamicGel:
         self._skin_spread = self._array(spread_weight.reshape(-1, 3), fem_kernels.VEC3)
 
     def _array(self, values: Any, dtype: Any) -> Any:
-        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=DEVICE)
 
     @cached_property
     def _contact_load(self) -> sparse.csr_matrix:
@@ -245,7 +245,7 @@ class DynamicGel:
         )
         path = _path([_free_pose(poses[0], indenter, self.skin), *poses], steps)
         motion = _Motion(
-            field=indenter_field(indenter, scalar=fem_kernels.SCALAR, device=self.device),
+            field=indenter_field(indenter, scalar=fem_kernels.SCALAR, device=DEVICE),
             bounds=indenter.bounds_m(),
             pose=self._array(path, fem_kernels.TRANSFORM),
         )
@@ -267,7 +267,7 @@ class DynamicGel:
 
     def _state_at_rest(self) -> _GelState:
         def zeros(*shape: int) -> Any:
-            return wp.zeros(shape, dtype=fem_kernels.VEC3, device=self.device)
+            return wp.zeros(shape, dtype=fem_kernels.VEC3, device=DEVICE)
 
         node_count = len(self.mesh.position_m)
         return _GelState(
@@ -293,7 +293,7 @@ class DynamicGel:
             dim=len(self.mesh.tetrahedra),
             inputs=[state.position, self._tetrahedra, self._inverse, self._volume, *solid],
             outputs=[state.element_force],
-            device=self.device,
+            device=DEVICE,
         )
         wp.launch(
             fem_kernels.contact_forces,
@@ -314,7 +314,7 @@ class DynamicGel:
                 law,
             ],
             outputs=[state.skin_force],
-            device=self.device,
+            device=DEVICE,
         )
         wp.launch(
             fem_kernels.move_nodes,
@@ -334,7 +334,7 @@ class DynamicGel:
                 self._skin_gather,
             ],
             outputs=[state.velocity, state.displacement, state.position],
-            device=self.device,
+            device=DEVICE,
         )
 
 
@@ -388,27 +388,22 @@ class DiffTactile:
     Attributes:
         constants: of the motion.
         youngs_modulus_pa: of the gel.
-        shell: how the gel is cut.
-        gel: ready for the skin that it was fitted on.
+        gel: ready for the skin that it was fitted on, which is the one that it predicts.
         name: how tables call it.
     """
 
     constants: GelConstants
     youngs_modulus_pa: float
-    shell: Shell
     gel: DynamicGel = field(repr=False, compare=False)
     name: str = "difftactile"
 
-    def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
-        """Return skin and force at the poses of a press; see `measured.presses.Model`.
+    def predict(self, press: Press, indenter: Indenter, _skin: SkinMesh) -> Prediction:
+        """Return skin and force at the poses of a press; see `studies.geometry.scores.Model`.
 
         Raises:
             DiffTactileDivergenceError: the explicit steps have left every bound.
         """
-        gel = self.gel
-        if skin is not gel.skin:
-            gel = DynamicGel(self.shell.mesh(skin), skin, device=gel.device)
-        position, force = gel.run(press.poses, indenter, self.constants)
+        position, force = self.gel.run(press.poses, indenter, self.constants)
         return Prediction(position, self.youngs_modulus_pa * force)
 
 
@@ -478,33 +473,22 @@ class FitTrials:
         """Return how a run compares with a press, None where it diverged."""
         key = (press.name, constants)
         if key not in self._done:
-            self._done[key] = self._run(press, constants)
+            assert press.force_n is not None
+            self._done[key] = None
+            with suppress(DiffTactileDivergenceError):
+                indenter = self.indenters[press.indenter]
+                position, force = self.gel.run(press.poses, indenter, constants)
+                surfaces = self.target(press).surfaces
+                self._done[key] = FitScore(
+                    press.frame_count * surface_rms_m(position, surfaces) ** 2,
+                    float(np.sum(force**2)),
+                    float(np.sum(force * press.force_n)),
+                )
         return self._done[key]
-
-    def _run(self, press: Press, constants: GelConstants) -> FitScore | None:
-        assert press.force_n is not None
-        try:
-            position, force = self.gel.run(
-                press.poses, indenter_of(press, self.indenters), constants
-            )
-        except DiffTactileDivergenceError:
-            return None
-        return FitScore(
-            press.frame_count * surface_rms_m(position, self.target(press).surfaces) ** 2,
-            float(np.sum(force**2)),
-            float(np.sum(force * press.force_n)),
-        )
 
 
 def fit(
-    train: Sequence[Press],
-    indenters: Mapping[str, Indenter],
-    skin: SkinMesh,
-    *,
-    grid: Mapping[str, Sequence[float]] | None = None,
-    shell: Shell | None = None,
-    device: str = "cpu",
-    trials: FitTrials | None = None,
+    train: Sequence[Press], trials: FitTrials, *, grid: Mapping[str, Sequence[float]] = GRID
 ) -> DiffTactile:
     """Return DiffTactile with the best constants of a grid and the modulus of least squares.
 
@@ -514,20 +498,13 @@ def fit(
 
     Args:
         train: presses with skin and force.
-        indenters: their indenters, by name.
-        skin: the measured skin at rest, of a dome.
-        grid: values to try of the constants that it names, by default `GRID`.
-        shell: how the gel is cut, by default `Shell()`; not read where trials are given.
-        device: Warp's name of the device; not read where trials are given.
-        trials: earlier runs with the same skin, to be used and added to.
+        trials: runs with the measured skin, to be used and added to.
+        grid: values to try of the constants that it names.
 
     Raises:
-        ValueError: no press, one without skin or force, an unknown indenter, or no contact.
+        ValueError: no press, one without skin or force, or no contact.
     """
     check_training(train)
-    shell = Shell() if shell is None else shell
-    if trials is None:
-        trials = FitTrials(DynamicGel(shell.mesh(skin), skin, device=device), indenters)
     targets = [trials.target(press) for press in train]
     if not (any(t.motion_m2 for t in targets) and any(t.measured_n2 for t in targets)):
         raise ValueError(
@@ -540,7 +517,7 @@ def fit(
     lowest = _cost(trials, presses, best, float("inf"))
     for _ in range(ROUNDS):
         before = best
-        for name, values in (GRID if grid is None else grid).items():
+        for name, values in grid.items():
             for value in values:
                 candidate = replace(best, **{name: value})
                 cost = _cost(trials, presses, candidate, lowest)
@@ -548,7 +525,7 @@ def fit(
                     best, lowest = candidate, cost
         if best == before:
             break
-    return DiffTactile(best, _modulus(trials, presses, best), shell, trials.gel)
+    return DiffTactile(best, _modulus(trials, presses, best), trials.gel)
 
 
 def _cost(

@@ -22,7 +22,7 @@ from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from studies.rivals.clipping import clip_depths, clipped_skin
 from studies.rivals.penalty_force import fit_stiffness, penetration_vectors
-from studies.rivals.training import check_training, indenter_of
+from studies.rivals.training import check_training
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Tacto:
     name: str = "tacto"
 
     def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
-        """Return skin and force at the poses of a press; see `measured.presses.Model`."""
+        """Return skin and force at the poses of a press; see `studies.geometry.scores.Model`."""
         depth = clip_depths(skin, press.poses, indenter)
         force = self.stiffness_n_m * penetration_vectors(skin, depth)
         return Prediction(clipped_skin(skin, depth), force)
@@ -53,11 +53,11 @@ def fit(train: Sequence[Press], indenters: Mapping[str, Indenter], skin: SkinMes
         skin: the measured skin at rest.
 
     Raises:
-        ValueError: no press, one without skin or force, an unknown indenter, or no contact.
+        ValueError: no press, one without skin or force, or no contact.
     """
     check_training(train)
     penetration = [
-        penetration_vectors(skin, clip_depths(skin, press.poses, indenter_of(press, indenters)))
+        penetration_vectors(skin, clip_depths(skin, press.poses, indenters[press.indenter]))
         for press in train
     ]
     force = np.concatenate([press.force_n for press in train if press.force_n is not None])

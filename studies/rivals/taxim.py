@@ -37,7 +37,6 @@ from studies.rivals.penalty_force import fit_stiffness, penetration_vectors
 from studies.rivals.training import (
     MeasuredSurface,
     check_training,
-    indenter_of,
     measured_surface,
     surface_rms_m,
 )
@@ -145,7 +144,7 @@ class Taxim:
     name: str = "taxim"
 
     def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
-        """Return skin and force at the poses of a press; see `measured.presses.Model`."""
+        """Return skin and force at the poses of a press; see `studies.geometry.scores.Model`."""
         depth = clip_depths(skin, press.poses, indenter)
         smooth = smoothed_depths(skin_smoother(skin), depth, self.pyramid)
         force = self.stiffness_n_m * penetration_vectors(skin, depth)
@@ -171,10 +170,10 @@ def fit(
         seed: of the frames and of the search.
 
     Raises:
-        ValueError: no press, one without skin or force, an unknown indenter, or no contact.
+        ValueError: no press, one without skin or force, or no contact.
     """
     check_training(train)
-    depths = [clip_depths(skin, p.poses, indenter_of(p, indenters)) for p in train]
+    depths = [clip_depths(skin, p.poses, indenters[p.indenter]) for p in train]
     depth = np.concatenate(depths)
     force = np.concatenate([p.force_n for p in train if p.force_n is not None])
     skins = np.concatenate([p.skin_position_m for p in train if p.skin_position_m is not None])

@@ -5,30 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from dotsim_ros.data.presses import Press
-from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, vertex_normals
 from dotsim_ros.io.arrays import FloatArray
-
-
-def indenter_of(press: Press, indenters: Mapping[str, Indenter]) -> Indenter:
-    """Return the indenter of a press.
-
-    Raises:
-        ValueError: it is none of those given.
-    """
-    if press.indenter not in indenters:
-        raise ValueError(
-            f"{press.name}: unknown indenter {press.indenter!r}; known are "
-            f"{', '.join(sorted(indenters)) or 'none'}"
-        )
-    return indenters[press.indenter]
 
 
 def check_training(train: Sequence[Press]) -> None:

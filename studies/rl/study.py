@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -26,8 +27,9 @@ from dotsim_ros.control.environments.reinforcement import (
     train,
 )
 from dotsim_ros.io.cache import PHYSICS, content_key
-from dotsim_ros.io.files import write_json
-from dotsim_ros.io.worker_pool.pool import Crew, open_pool
+from dotsim_ros.io.files import cache_directory, write_json
+from dotsim_ros.io.worker_pool.pool import Crew, crew, open_pool
+from studies.rl.pictures import write_curve, write_rollout
 from studies.rl.worlds import AS_LEARNT, WORLDS, options_of
 
 FIRST_EPISODE = 1_000_000
@@ -35,6 +37,16 @@ FIRST_EPISODE = 1_000_000
 BLIND = "random moves"
 BLIND_EPISODES = 40
 """At most, of each kind of blind moves: they mostly play to the end, three times as long."""
+
+
+ROLLOUT_EPISODES = 4
+SWEEP_SEED = 1_000
+"""Of the policies of a sweep, which no study learns again."""
+VALIDATION = 2 * FIRST_EPISODE
+"""Seed of the first episode that settings are chosen by; policies are judged on others."""
+NUMBERS = ("learning_rate", "discount", "entropy_share")
+COUNTS = ("rollout", "epochs", "mini_batches")
+TRIED = (*NUMBERS, *COUNTS)
 
 
 @dataclass(frozen=True)
@@ -66,35 +78,65 @@ class Study:
         return self.judged_on()[:BLIND_EPISODES]
 
 
-def run_study(
-    study: Study, folder: Path, *, workers: Crew, tell: Callable[[str], None]
+def rl(
+    *,
+    seeds: int = 5,
+    steps: int = 8_000,
+    minutes: float = 60.0,
+    episodes: int = 100,
+    observation: Literal["depth", "image"] = "depth",
+    image_size: int = 32,
+    tried: dict[str, list[float]] | None = None,
+    workers: int = 1,
+    ray_address: str | None = None,
+    images: Path = Path("docs/images"),
+    cache: Path | None = None,
 ) -> dict[str, Any]:
-    """Return the figures of a study; what is kept of it in `folder` is not done again.
-
-    `success_rate` is that in the world that was learnt in, with its deviation between the seeds;
-    `minutes` is what the longest training took, and `steps_per_second` holds for all of them.
+    """A box turned by touch, learnt with PPO and judged in worlds that were never seen.
 
     Args:
-        study: what is asked.
-        folder: its `kept_folder`.
-        workers: how many processes, or workers of Ray, each of which learns a policy or plays
-            blind moves.
-        tell: called with a line about each row.
+        seeds: policies learnt.
+        steps: of the world, for each policy.
+        minutes: limit of each training.
+        episodes: each policy is judged on.
+        observation: what policies see.
+        image_size: width and height of the image, pixels.
+        tried: values of settings (`--tried.rollout 64 128`), each combination of which is learnt
+            with once first; what does best on episodes that nothing else is judged on is kept.
+        workers: processes, or workers of the Ray cluster, at most.
+        ray_address: HOST:PORT of the head of a Ray cluster, auto or local (none).
+        images: folder of the pictures.
+        cache: folder of what was learnt before (the user's cache).
+
+    Returns:
+        Among others `success_rate`, that in the world that was learnt in, with its deviation
+        between the seeds; `minutes`, what the longest training took; `steps_per_second`, which
+        holds for all of them.
+
+    Raises:
+        ValueError: as `settings_to_try`.
     """
-    jobs: list[tuple[Callable[..., dict[str, Any]], int | str]] = [
-        *((learnt_row, seed) for seed in range(study.seeds)),
-        *((blind_row, name) for name in (BLIND, *(f"always {k}" for k in range(len(MOVES))))),
-    ]
-    rows: dict[int | str, dict[str, Any]] = {}
-    with open_pool(workers, prepare, writes=(folder,)) as pool:
-        running = {pool.submit(job, study, folder, of): of for job, of in jobs}
-        for done in as_completed(running):
-            row = rows[running[done]] = done.result()
-            tell(f"{row['name']}: {row['success']}")
-    learnt = [rows[seed] for seed in range(study.seeds)]
+    size = [image_size] * 2
+    study = Study(
+        PpoSettings(options={"observation": observation, "image_size_px": size}),
+        seeds=seeds,
+        steps=steps,
+        seconds=60.0 * minutes,
+        episodes=episodes,
+    )
+    kept, team = cache or cache_directory() / "rl", crew(workers, ray_address)
+    swept: dict[str, Any] = {}
+    if tried:
+        study, swept["sweep"] = run_sweep(study, tried, kept, team)
+    folder = kept_folder(study, kept)
+    rows = _rows(study, folder, team)
+    learnt = [rows[seed] for seed in range(seeds)]
     blind = [row for of, row in rows.items() if isinstance(of, str)]
     constant = [row for row in blind if row["name"] != BLIND]
     success_in = {world: _summary([row["success"][world] for row in learnt]) for world in WORLDS}
+    write_curve(images / "rl_curve.png", learnt)
+    shown = study.judged_on()[:ROLLOUT_EPISODES]
+    write_rollout(images / "rl_rollout.gif", study.settings, policy_folder(folder, 0), shown)
     return {
         "study": asdict(study),
         "learnt": learnt,
@@ -105,9 +147,26 @@ def run_study(
             sum(row["steps"] for row in learnt) / sum(row["seconds"] for row in learnt), 1
         ),
         "success": success_in,
-        "random_success": next(row for row in blind if row["name"] == BLIND)["success"][AS_LEARNT],
+        "random_success": rows[BLIND]["success"][AS_LEARNT],
         "best_single_move": max(constant, key=lambda row: row["success"][AS_LEARNT]),
+        **swept,
     }
+
+
+def _rows(study: Study, folder: Path, workers: Crew) -> dict[int | str, dict[str, Any]]:
+    """Return the rows of the policies by seed and of blind moves by name; what is kept of them in a
+    folder is not done again."""
+    jobs: list[tuple[Callable[..., dict[str, Any]], int | str]] = [
+        *((learnt_row, seed) for seed in range(study.seeds)),
+        *((blind_row, name) for name in (BLIND, *(f"always {k}" for k in range(len(MOVES))))),
+    ]
+    rows: dict[int | str, dict[str, Any]] = {}
+    with open_pool(workers, prepare, writes=(folder,)) as pool:
+        running = {pool.submit(job, study, folder, of): of for job, of in jobs}
+        for done in as_completed(running):
+            row = rows[running[done]] = done.result()
+            print(f"{row['name']}: {row['success']}")
+    return rows
 
 
 def learnt_row(study: Study, folder: Path, seed: int) -> dict[str, Any]:
@@ -234,3 +293,83 @@ def _summary(shares: list[float]) -> dict[str, float]:
         "std": round(float(np.std(shares)), 4),
         "least": min(shares),
     }
+
+
+def settings_to_try(study: Study, values: Mapping[str, Sequence[float]]) -> list[PpoSettings]:
+    """Return the settings of a study with every combination of values, all of one seed.
+
+    Args:
+        study: the settings that nothing else is said of.
+        values: by the name of the setting, of `TRIED`.
+
+    Raises:
+        ValueError: another name, no value, or one that is out of range.
+    """
+    for name, given in values.items():
+        if name not in TRIED:
+            raise ValueError(f"no setting {name} to try; known are {', '.join(TRIED)}")
+        is_count = name in COUNTS
+        least = 1.0 if is_count else 0.0
+        wrong = [v for v in given if not least <= v < float("inf") or (is_count and v % 1)]
+        if wrong or not given:
+            raise ValueError(
+                f"{name} is {', '.join(map(str, wrong)) or 'without a value'}, expected "
+                f"{'whole numbers from 1' if is_count else 'numbers from 0'}"
+            )
+    tried = []
+    for chosen in itertools.product(*values.values()):
+        changes: dict[str, Any] = {
+            name: int(value) if name in COUNTS else float(value)
+            for name, value in zip(values, chosen, strict=True)
+        }
+        tried.append(replace(study.settings, seed=SWEEP_SEED, **changes))
+    return tried
+
+
+def run_sweep(
+    study: Study,
+    values: Mapping[str, Sequence[float]],
+    cache: Path,
+    workers: Crew,
+) -> tuple[Study, list[dict[str, Any]]]:
+    """Learn a policy with each combination of settings, and choose the best by validation.
+
+    Args:
+        study: what is asked of each training.
+        values: as `settings_to_try`.
+        cache: below which a sweep keeps what it has done.
+        workers: how many processes, or workers of Ray, each of which learns a policy.
+
+    Returns:
+        The study with the settings that got there most often, the first of several, and the rows
+        in the order of the combinations: the settings tried, `success` on the validation's
+        episodes, `steps`.
+
+    Raises:
+        ValueError: as `settings_to_try`.
+    """
+    tried = settings_to_try(study, values)
+    rows: list[dict[str, Any]] = [{} for _ in tried]
+    with open_pool(workers, prepare, writes=(cache,)) as pool:
+        running = {
+            pool.submit(swept_row, study, cache, settings): number
+            for number, settings in enumerate(tried)
+        }
+        for done in as_completed(running):
+            number = running[done]
+            settings = {name: asdict(tried[number])[name] for name in values}
+            rows[number] = settings | done.result()
+            print(f"{settings}: {rows[number]['success']}")
+    best = max(range(len(tried)), key=lambda number: (rows[number]["success"], -number))
+    return replace(study, settings=replace(tried[best], seed=study.settings.seed)), rows
+
+
+def swept_row(study: Study, cache: Path, settings: PpoSettings) -> dict[str, Any]:
+    """Learn with settings and return how often the policy gets there on validation's episodes."""
+    place = policy_folder(kept_folder(replace(study, settings=settings), cache), settings.seed)
+    progress = train(settings, place, steps=study.steps, seconds=study.seconds, enough=study.enough)
+    seeds = range(VALIDATION, VALIDATION + study.episodes)
+    episodes = played_episodes(
+        place / f"validation-{study.episodes}.json", settings, place, AS_LEARNT, seeds
+    )
+    return {"success": success(episodes), "steps": progress.steps}

@@ -154,9 +154,7 @@ def settle(scheme: str, sensor: TactileSensor, mass_kg: float, period_s: float) 
     }
 
 
-def energy_left(
-    scheme: str, sensor: TactileSensor, period_s: float, damping_s: float = 0.0
-) -> float:
+def energy_left(scheme: str, sensor: TactileSensor, period_s: float) -> float:
     """Return what is left of a ball's energy of swinging after ten periods, as a share: 1 where
     none is lost or won, infinite where it leaves the gel or is pushed through it."""
     mass_kg, amplitude_m = 0.05, 0.15e-3
@@ -181,7 +179,7 @@ def energy_left(
         above = np.interp(height, heights[::-1], potential[::-1]) - potential[lowest]
         return float(above + 0.5 * mass_kg * speed**2)
 
-    with mock.patch.object(coupling_module, "DAMPING_S", damping_s):
+    with mock.patch.object(coupling_module, "DAMPING_S", 0.0):
         start_m = float(heights[lowest]) + amplitude_m
         world = coupled(scheme, sensor, geom, mass_kg, start_m, period_s)
         try:

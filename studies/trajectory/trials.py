@@ -14,7 +14,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import yaml
@@ -29,7 +29,7 @@ from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.cache import PHYSICS, content_key, tell_broken
 from dotsim_ros.io.documents import read_yaml
-from dotsim_ros.io.files import given_path, parameter_path, whole_file, write_image
+from dotsim_ros.io.files import given_path, parameter_path, write_image, write_text
 from dotsim_ros.io.provenance import provenance
 from dotsim_ros.optics.idle import description_of, resample
 from dotsim_ros.optics.pattern import idle_frame_of
@@ -43,6 +43,7 @@ RELAXING_SHARE, RELAXING_S, THINNER, SLIPPERIER = 0.17, 1.0, 0.104, 0.43
 the stress that relaxes, a gel thinner by a share, and a friction that is a share of the twin's."""
 REALITY_SPACING_M = 2.4e-3
 """Of the gel's grid: finer than the one of the loop."""
+MODULI = {"youngs_modulus_pa", "c10_pa", "c01_pa", "c20_pa", "c30_pa", "bulk_modulus_pa"}
 STIFFER, DIMMED, TILT_DEG = 1.1, 0.6, 1.0
 CAMERA_NOISE_LEVELS = 1.2
 """Image noise of the camera of `sensor_a`, as its data set states it; differences of its five idle
@@ -117,13 +118,9 @@ class TrialPlan:
         return f"{setting.name}-{path}-{number}-{key}.npz"
 
 
-class Loop(Protocol):
-    """What runs a closed loop."""
-
-    def __call__(
-        self, setting: Setting, path: str, start_m: FloatArray, seconds: float
-    ) -> LoopRecording:
-        """Return what the loop did; OSError where it could not be run."""
+Loop = Callable[[Setting, str, FloatArray, float], LoopRecording]
+"""Runs a closed loop: returns what it did in a setting, along a path, from a start (3,) in metres,
+for so many seconds; OSError where it could not be run."""
 
 
 @dataclass
@@ -150,19 +147,18 @@ def setting_of(name: str, folder: Path, *, trained_on: str) -> Setting:
     Raises:
         ValueError: no such setting.
     """
+    noise_levels = CAMERA_NOISE_LEVELS if name in (TRANSFERRED, REALITY) else 0.0
+    spacing_m = REALITY_SPACING_M if name == REALITY else None
     if name == SIMULATED:
-        return Setting(name, trained_on, content=_content(sensor_path(trained_on)))
-    if name == TRANSFERRED:
-        return Setting(
-            name, "sensor_a", CAMERA_NOISE_LEVELS, content=_content(sensor_path("sensor_a"))
-        )
-    if name == SHIFTED:
-        path = write_shifted(folder, trained_on)
-        return Setting(name, str(path), content=_content(path))
-    if name == REALITY:
-        path = write_reality(folder)
-        return Setting(name, str(path), CAMERA_NOISE_LEVELS, _content(path), REALITY_SPACING_M)
-    raise ValueError(f"there is no setting {name!r}; choose one of {', '.join(SETTINGS)}")
+        source, path = trained_on, sensor_path(trained_on)
+    elif name == TRANSFERRED:
+        source, path = "sensor_a", sensor_path("sensor_a")
+    elif name in (SHIFTED, REALITY):
+        path = write_shifted(folder, trained_on) if name == SHIFTED else write_reality(folder)
+        source = str(path)
+    else:
+        raise ValueError(f"there is no setting {name!r}; choose one of {', '.join(SETTINGS)}")
+    return Setting(name, source, noise_levels, _content(path), spacing_m)
 
 
 def write_shifted(folder: Path, source: str) -> Path:
@@ -173,16 +169,9 @@ def write_shifted(folder: Path, source: str) -> Path:
     document = read_yaml(sensor_path(source))
     sensor = load_sensor(source)
     document["name"] = f"{sensor.name}_shifted"
-    for constant in (
-        "youngs_modulus_pa",
-        "c10_pa",
-        "c01_pa",
-        "c20_pa",
-        "c30_pa",
-        "bulk_modulus_pa",
-    ):
-        if constant in document["material"]:
-            document["material"][constant] = STIFFER * float(document["material"][constant])
+    material = document["material"]
+    for constant in MODULI & material.keys():
+        material[constant] = STIFFER * float(material[constant])
     turn = Rotation.from_rotvec([np.radians(TILT_DEG), 0.0, 0.0])
     turned = Rotation.from_quat(sensor.camera.quaternion_xyzw) * turn
     camera = document["camera"]
@@ -197,10 +186,7 @@ def write_shifted(folder: Path, source: str) -> Path:
     if description is not None:
         shutil.copyfile(description, idle_file.with_suffix(".yaml"))
     camera["idle_image"] = str(idle_file)
-    path = folder / "shifted.yaml"
-    with whole_file(path) as part:
-        part.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-    return path
+    return _written(folder / "shifted.yaml", document)
 
 
 def write_reality(folder: Path) -> Path:
@@ -211,9 +197,11 @@ def write_reality(folder: Path) -> Path:
     gel, contact = document["gel"], document["contact"]
     gel["core_radius_m"] += THINNER * (gel["outer_radius_m"] - gel["core_radius_m"])
     contact["friction_coefficient"] *= SLIPPERIER
-    path = folder / "reality.yaml"
-    with whole_file(path) as part:
-        part.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    return _written(folder / "reality.yaml", document)
+
+
+def _written(path: Path, document: Mapping[str, Any]) -> Path:
+    write_text(path, yaml.safe_dump(document, sort_keys=False))
     return path
 
 
@@ -232,9 +220,6 @@ def run_trials(
     loop: Loop,
     limits: SafetyLimits,
     cache: Path,
-    *,
-    contact: DomeContact | None = None,
-    progress: Callable[[str], None],
 ) -> TrajectoryTrials:
     """Run what has not been run before, and judge all.
 
@@ -243,13 +228,11 @@ def run_trials(
         loop: runs it.
         limits: that the motion is held against.
         cache: folder of the recordings; an interrupted run is resumed.
-        contact: of the ball on the dome.
-        progress: takes a line for each trial.
 
     Raises:
         OSError: a trial could not be run in TRIES tries.
     """
-    contact = contact or DomeContact()
+    contact = DomeContact()
     trials = TrajectoryTrials()
     for setting in plan.settings:
         for name in plan.paths:
@@ -259,12 +242,12 @@ def run_trials(
                 recording = _kept(kept)
                 if recording is None:
                     start = trial_start(path, contact, seed=plan.seed, number=number)
-                    recording = _tried(loop, setting, name, start, plan.seconds, progress)
+                    recording = _tried(loop, setting, name, start, plan.seconds)
                     recording.save(kept)
                 row = judge(recording, path, limits)
                 trials.recordings.setdefault((setting.name, name), []).append(recording)
                 trials.rows.setdefault((setting.name, name), []).append(row)
-                progress(f"{setting.name}, {name}, trial {number + 1}: {summary_of(row)}")
+                print(f"{setting.name}, {name}, trial {number + 1}: {summary_of(row)}")
     return trials
 
 
@@ -285,7 +268,6 @@ def _tried(
     path: str,
     start_m: FloatArray,
     seconds: float,
-    progress: Callable[[str], None],
 ) -> LoopRecording:
     for left in reversed(range(TRIES)):
         try:
@@ -293,7 +275,7 @@ def _tried(
         except OSError as error:
             if not left:
                 raise
-            progress(f"{setting.name}, {path}: {error}; once more")
+            print(f"{setting.name}, {path}: {error}; once more")
         else:
             known = provenance()
             made = {key: known[key] for key in ("commit", "date", "machine")}

@@ -18,7 +18,8 @@ from dotsim_ros.gel.material import ElasticLaw, NeoHookean
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.specification import ContactSpecification
-from studies.reference.deck import MM, NEVER, StepControl, contact_lines, material_lines
+from studies.reference import blocks
+from studies.reference.blocks import MM, StepControl
 from studies.reference.mesh import DomeMesh
 from studies.tumour.pair.layer import Insert, LayerSpecification
 
@@ -148,68 +149,29 @@ class LayerDeck:
 
     def _lines(self) -> Iterator[str]:
         gel, layer = self.gel, self.layer
-        first = len(gel.node_m) + 1
+        first, elements = len(gel.node_m) + 1, len(gel.element)
         start = self.poses[0].apply(layer.node_m)
-        elements = len(gel.element)
-        yield "*NODE, NSET=GEL"
-        yield from _node_rows(1, MM * gel.node_m)
-        yield "*NODE, NSET=LAYER"
-        yield from _node_rows(first, MM * start)
-        yield "*ELEMENT, TYPE=C3D20R, ELSET=GEL"
-        yield from _brick_rows(1, gel.element + 1)
-        yield "*ELEMENT, TYPE=C3D20R, ELSET=LAYER"
-        yield from _brick_rows(elements + 1, layer.element + first)
         in_plane = np.abs(np.concatenate([gel.node_m[:, 1], start[:, 1]])) < ON_PLANE_M
-        for name, members in (
-            ("BONDED", gel.bonded + 1),
-            ("SKIN", np.unique(gel.skin_face) + 1),
-            ("HELD", layer.bonded + first),
-            ("PLANE", np.flatnonzero(in_plane) + 1),
-        ):
-            yield f"*NSET, NSET={name}"
-            yield from _listed(members)
-        yield "*SURFACE, NAME=SKIN_FACES, TYPE=ELEMENT"
-        yield from (f"{number}, S2" for number in (gel.skin_element + 1).tolist())
-        # Contact is told for an indenter, in whose place the layer is.
-        yield "*SURFACE, NAME=INDENTER_FACES, TYPE=ELEMENT"
-        yield from (f"{number}, S2" for number in (layer.top_element + elements + 1).tolist())
-        for name, law in (("GEL", self.gel_law), ("LAYER", self.layer_law)):
-            _, kind, constants, *_ = material_lines(law)
-            yield from (f"*MATERIAL, NAME=OF_{name}", kind, constants)
-            yield f"*SOLID SECTION, ELSET={name}, MATERIAL=OF_{name}"
-        yield from contact_lines(self.layer_law, self.contact)
-        yield "*BOUNDARY"
-        yield "BONDED, 1, 3"
-        yield "PLANE, 2, 2"
+        yield from blocks.node_lines("GEL", 1, gel.node_m)
+        yield from blocks.node_lines("LAYER", first, start)
+        yield from blocks.element_lines("C3D20R", "GEL", 1, gel.element + 1)
+        yield from blocks.element_lines("C3D20R", "LAYER", elements + 1, layer.element + first)
+        yield from blocks.set_lines("BONDED", gel.bonded + 1)
+        yield from blocks.set_lines("SKIN", np.unique(gel.skin_face) + 1)
+        yield from blocks.set_lines("HELD", layer.bonded + first)
+        yield from blocks.set_lines("PLANE", np.flatnonzero(in_plane) + 1)
+        yield from blocks.surface_lines("SKIN_FACES", gel.skin_element + 1, "S2")
+        # The contact is that of an indenter, in whose place the layer is.
+        yield from blocks.surface_lines("INDENTER_FACES", layer.top_element + elements + 1, "S2")
+        yield from blocks.matter_lines("OF_GEL", blocks.law_lines(self.gel_law), "GEL")
+        yield from blocks.matter_lines("OF_LAYER", blocks.law_lines(self.layer_law), "LAYER")
+        yield from blocks.contact_lines(self.layer_law, self.contact)
+        yield from ("*BOUNDARY", "BONDED, 1, 3", "PLANE, 2, 2")
         for pose in self.poses[1:]:
-            yield from self._step_lines(MM * (pose.position_m - self.poses[0].position_m))
-
-    def _step_lines(self, moved_mm: FloatArray) -> Iterator[str]:
-        c = self.control
-        yield f"*STEP, NLGEOM, INC={c.count}"
-        yield "*STATIC"
-        yield f"{c.first}, 1.0, {c.smallest}, {c.largest}"
-        yield "*BOUNDARY"
-        for axis, value in enumerate(moved_mm.tolist(), start=1):
-            yield f"HELD, {axis}, {axis}, {value:.9e}"
-        yield f"*NODE PRINT, NSET=SKIN, FREQUENCY={NEVER}"
-        yield "U"
-        yield f"*NODE PRINT, NSET=HELD, FREQUENCY={NEVER}"
-        yield "RF"
-        yield "*END STEP"
-
-
-def _node_rows(first: int, values: FloatArray) -> Iterator[str]:
-    for number, row in enumerate(values.tolist(), start=first):
-        yield f"{number}, {', '.join(f'{value:.9e}' for value in row)}"
-
-
-def _brick_rows(first: int, nodes: IntArray) -> Iterator[str]:
-    for number, row in enumerate(nodes.tolist(), start=first):
-        # A line holds at most 16 entries.
-        yield f"{number}, {', '.join(map(str, row[:10]))},"
-        yield ", ".join(map(str, row[10:]))
-
-
-def _listed(numbers: IntArray) -> Iterator[str]:
-    yield from (f"{number}," for number in numbers.tolist())
+            moved_mm = (MM * (pose.position_m - self.poses[0].position_m)).tolist()
+            yield from blocks.step_lines(
+                self.control.count,
+                self.control.procedure_lines(),
+                [f"HELD, {axis}, {axis}, {mm:.9e}" for axis, mm in enumerate(moved_mm, start=1)],
+                {"SKIN": "U", "HELD": "RF"},
+            )

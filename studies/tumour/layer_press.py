@@ -5,10 +5,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -17,9 +15,9 @@ from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import ContactSpecification, SensorSpecification
-from studies.reference.deck import MM, StepControl
+from studies.reference.blocks import MM, StepControl
 from studies.reference.mesh import MeshedPress, dome_mesh, interpolate_skin
-from studies.reference.run import JOB, execute, failure_of, read_tables
+from studies.reference.run import run
 from studies.tumour.layer_deck import LayerDeck, half_dome, half_layer_mesh
 from studies.tumour.pair.layer import Insert, LayerSpecification
 
@@ -85,9 +83,6 @@ def solve_layer_press(
     insert: Insert,
     poses: Sequence[Pose],
     settings: LayerPressSettings,
-    *,
-    keep: Path | None = None,
-    time_limit_s: float | None = None,
 ) -> SolvedLayerPress:
     """Run CalculiX on a press.
 
@@ -98,8 +93,6 @@ def solve_layer_press(
         poses: of the layer's frame in the base frame, symmetric about y = 0; the first without
             contact.
         settings: resolution, effort, friction.
-        keep: folder for CalculiX's files; without it they are removed.
-        time_limit_s: it is ended after this long, and what it has solved by then is returned.
 
     Raises:
         CalculixMissingError: it is not installed.
@@ -127,19 +120,13 @@ def solve_layer_press(
     deck = LayerDeck(
         half_dome(whole), mesh, poses, law_of(sensor.material), law, contact, settings.control
     )
-    with tempfile.TemporaryDirectory(prefix="dotsim_reference_") as temporary:
-        folder = Path(temporary) if keep is None else keep
-        reason = execute(deck.text(), folder, thread_count=1, time_limit_s=time_limit_s)
-        tables = read_tables(folder / f"{JOB}.dat")
-    moved = [rows for quantity, name, rows in tables if (quantity, name) == _SKIN_MOVED]
-    held = [rows for quantity, name, rows in tables if (quantity, name) == _HELD]
-    count = min(len(moved), len(held))
-    failure = failure_of(count, len(poses) - 1, reason)
+    printed = run(deck.text(), held="HELD")
+    failure, count = printed.failure(len(poses) - 1), len(printed.held)
     displacement = np.zeros((count, len(deck.gel.node_m), 3))
     force = np.zeros((count, 3))
-    for step in range(count):
-        displacement[step, moved[step][:, 0].astype(np.int64) - 1] = moved[step][:, 1:] / MM
+    for step, (moved, held) in enumerate(zip(printed.moved, printed.held, strict=True)):
+        displacement[step, moved[:, 0].astype(np.int64) - 1] = moved[:, 1:] / MM
         # What holds half of the layer is opposite to the gel's force on it.
-        force[step] = -2.0 * held[step][:, 1:].sum(axis=0)
+        force[step] = -2.0 * held[:, 1:].sum(axis=0)
     force[:, 1] = 0.0
     return SolvedLayerPress(displacement, force, failure, deck)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -12,11 +13,9 @@ import numpy as np
 
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.files import whole_file
-from dotsim_ros.specification import load_sensor
 from studies.tumour.images import Eye
-from studies.tumour.presses import Progress, Simulation, SolvedPress, coarse
+from studies.tumour.presses import Simulation, SolvedPress
 from studies.tumour.skins import CLASSES, SKINS
-from studies.tumour.study import Study, judged_presses
 
 STRENGTH = 100.0
 MIDDLE = 128.0
@@ -24,27 +23,26 @@ MIDDLE = 128.0
 WHITE = (255, 255, 255)
 
 
-def write_presses(file: Path, study: Study, cache: Path, tell: Progress) -> None:
+def write_presses(
+    file: Path, simulation: Simulation, eye: Eye, judged: Mapping[str, Sequence[SolvedPress]]
+) -> None:
     """Draw the same presses, solved by our gel and skin and by CalculiX, next to each other.
 
     Args:
         file: of the picture.
-        study: whose first judged tumour and none are drawn for each skin, at their last depth.
-        cache: folder of the presses solved before.
-        tell: called with a line about what is being done.
+        simulation: of our gel and skins.
+        eye: that sees the presses.
+        judged: CalculiX's presses by skin, of which the first tumour and the first none are drawn,
+            at their last depth.
     """
-    sensor = coarse(load_sensor(study.sensor))
-    simulation = Simulation(sensor, cache, tell)
-    eye = Eye(sensor, simulation.skin)
     rows = []
-    for name in study.skins:
-        real, _ = judged_presses(study, name, cache, tell)
+    for name, real in judged.items():
         labels = [press.press.label for press in real]
         shown = [real[labels.index(label)] for label in (1, 0) if label in labels]
         ours = simulation.solved(SKINS[name], [press.press for press in shown], 1)
-        told = [(press, f"{name}, {CLASSES[press.press.label]}: ours") for press in ours]
-        told += [(press, f"{CLASSES[press.press.label]}: CalculiX") for press in shown]
-        rows.append(np.hstack([_column(eye, press, title) for press, title in told]))
+        titled = [(press, f"{name}, {CLASSES[press.press.label]}: ours") for press in ours]
+        titled += [(press, f"{CLASSES[press.press.label]}: CalculiX") for press in shown]
+        rows.append(np.hstack([_column(eye, press, title) for press, title in titled]))
     width = max(row.shape[1] for row in rows)
     sheet = np.vstack([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
     with whole_file(file) as part:

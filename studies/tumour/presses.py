@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,8 +23,6 @@ from dotsim_ros.specification import SensorSpecification
 from studies.tumour.pair.equilibrium import GelAndLayer, PairError, PairSettings
 from studies.tumour.pair.layer import LayerSpecification, SoftLayer
 from studies.tumour.skins import Press
-
-Progress = Callable[[str], None]
 
 GRID_M = 3.6e-3
 MARKERS_M = 1.2e-3
@@ -70,18 +68,17 @@ class Simulation:
     Args:
         sensor: as `coarse` returns it.
         cache: folder of the presses solved before.
-        progress: called with a line about each press.
     """
 
-    def __init__(self, sensor: SensorSpecification, cache: Path, progress: Progress) -> None:
-        self._sensor, self._cache, self._say = sensor, cache, progress
+    def __init__(self, sensor: SensorSpecification, cache: Path) -> None:
+        self.sensor, self._cache = sensor, cache
         self.skin = skin_of(sensor.gel)
         self._pair: GelAndLayer | None = None
 
     def solved(
         self, layer: LayerSpecification, presses: Sequence[Press], turns: int
     ) -> list[SolvedPress]:
-        """Return the presses that could be solved; others are told and left out.
+        """Return the presses that could be solved; others are reported and left out.
 
         Args:
             layer: the soft skin.
@@ -99,23 +96,23 @@ class Simulation:
     def _kept(
         self, layer: LayerSpecification, press: Press, name: str
     ) -> tuple[Float32Array, FloatArray] | None:
-        s = self._sensor
+        s = self.sensor
         key = content_key(
             (*GEL, "../studies/tumour"), (s.gel, s.material), PairSettings(), layer, press
         )
         path = self._cache / "simulated" / f"{key}.npz"
         known = load_arrays(path, press_forms((len(press.depths_m), self.skin.vertex_count, 3)))
         if known is None:
-            self._say(f"simulating {name}")
+            print(f"simulating {name}")
             known = self._solve(layer, press, name)
             store_arrays(path, known)
         if not known["is_solved"].all():
-            self._say(f"{name} has no equilibrium and is left out")
+            print(f"{name} has no equilibrium and is left out")
             return None
         return known["skin_m"], known["force_n"]
 
     def _solve(self, layer: LayerSpecification, press: Press, name: str) -> Arrays:
-        s = self._sensor
+        s = self.sensor
         if self._pair is None:
             grid = discretize(body_of(s.gel), self.skin.rest_position_m, GRID_M)
             self._pair = GelAndLayer(ElasticBody(grid, law_of(s.material)), self.skin)
@@ -135,7 +132,7 @@ class Simulation:
                 force[frame] = np.linalg.norm(state.wrench.force_n)
                 is_solved[frame] = True
         except PairError as error:
-            self._say(f"{name}: {error}")
+            print(f"{name}: {error}")
         return {"skin_m": skin, "force_n": force, "is_solved": is_solved}
 
 

@@ -20,7 +20,7 @@ from dotsim_ros.specification import SensorSpecification
 from studies.reference.run import CalculixError
 from studies.tumour.layer_press import LayerPressSettings, solve_layer_press
 from studies.tumour.pair.layer import LayerSpecification
-from studies.tumour.presses import Progress, SolvedPress, press_forms
+from studies.tumour.presses import SolvedPress, press_forms
 from studies.tumour.skins import START_GAP_M, Press
 
 CALCULIX = tuple(
@@ -35,9 +35,7 @@ def calculix_presses(
     layer: LayerSpecification,
     presses: Sequence[Press],
     turns_rad: FloatArray,
-    *,
     cache: Path,
-    progress: Progress,
 ) -> list[SolvedPress]:
     """Return presses that CalculiX solved with both bodies deformable; every second pair of a
     tumour and none with friction, which our own presses have not. Each is returned in its turns,
@@ -46,10 +44,9 @@ def calculix_presses(
     Args:
         sensor: as `coarse` returns it.
         layer: the soft skin.
-        presses: onto it, in the plane y = 0; those that fail are told and left out.
+        presses: onto it, in the plane y = 0; those that fail are reported and left out.
         turns_rad: (N, T) turns of each press about the sensor's axis.
         cache: folder of the presses solved before.
-        progress: called with a line about each press.
 
     Raises:
         CalculixMissingError: it is not installed, and a press was not solved before.
@@ -71,11 +68,11 @@ def calculix_presses(
         shape = (len(turns), len(press.depths_m), skin.vertex_count, 3)
         known = load_arrays(path, press_forms(shape))
         if known is None:
-            progress(f"CalculiX solves {name}")
-            known = _solve(sensor, skin, layer, press, turns, settings, progress)
+            print(f"CalculiX solves {name}")
+            known = _solve(sensor, skin, layer, press, turns, settings)
             store_arrays(path, known)
         if not known["is_solved"].all():
-            progress(f"{name} was not solved by CalculiX and is left out")
+            print(f"{name} was not solved by CalculiX and is left out")
             continue
         turned = replace(press, azimuth_rad=float(turns[0]))
         found.append(SolvedPress(turned, known["skin_m"], known["force_n"]))
@@ -89,7 +86,6 @@ def _solve(
     press: Press,
     turns_rad: FloatArray,
     settings: LayerPressSettings,
-    progress: Progress,
 ) -> Arrays:
     radius, count = sensor.gel.outer_radius_m, len(press.depths_m)
     poses = [press.pose(layer, radius, -START_GAP_M), *press.poses(layer, radius)]
@@ -98,10 +94,10 @@ def _solve(
     try:
         solved = solve_layer_press(sensor, layer, press.insert, poses, settings)
     except CalculixError as error:
-        progress(str(error))
+        print(str(error))
         return {"skin_m": position, "force_n": force, "is_solved": is_solved}
     if solved.failure:
-        progress(solved.failure)
+        print(solved.failure)
     done = len(solved.force_n)
     is_solved[:done] = True
     force[:done] = np.linalg.norm(solved.force_n, axis=1)

@@ -16,9 +16,9 @@ import torch
 from dotsim_ros.io.arrays import Float32Array, FloatArray, IntArray
 from dotsim_ros.io.cache import PHYSICS, content_key
 from dotsim_ros.io.documents import read_json
-from dotsim_ros.io.files import write_json
+from dotsim_ros.io.files import cache_directory, write_json
 from dotsim_ros.io.provenance import provenance
-from dotsim_ros.specification import load_sensor
+from dotsim_ros.specification import SensorSpecification, load_sensor
 from studies.classification.classifier import (
     ClassifierSettings,
     TouchClassifier,
@@ -26,12 +26,22 @@ from studies.classification.classifier import (
     confusion,
     train_classifier,
 )
+from studies.reference.run import calculix_path, calculix_version
 from studies.tumour.images import AS_ASSUMED, OTHER, TO_LEARN_FROM, Eye, Light
 from studies.tumour.pair.layer import LayerSpecification
-from studies.tumour.presses import Progress, Simulation, SolvedPress, coarse
+from studies.tumour.pictures import write_presses
+from studies.tumour.presses import Simulation, SolvedPress, coarse
 from studies.tumour.reality import calculix_presses
 from studies.tumour.rigid import rigid_presses
-from studies.tumour.skins import CLASSES, FACTORS, SKINS, PressPlan, changed
+from studies.tumour.skins import (
+    CLASSES,
+    FACTORS,
+    SKIN_NAMES,
+    SKINS,
+    PressPlan,
+    SkinName,
+    changed,
+)
 
 APART = 5
 """Every fifth simulated press of each class is not learnt from."""
@@ -97,6 +107,96 @@ class Study:
                 raise ValueError(f"{name} is {value}, expected {least} or more")
 
 
+def tumour(
+    *,
+    sensor: str = "densetact2",
+    skins: tuple[SkinName, ...] = SKIN_NAMES,
+    presses: int = 30,
+    judged: int = 6,
+    shifted: int = 2,
+    classifiers: int = 3,
+    epochs: int = 25,
+    seed: int = 0,
+    images: Path = Path("docs/images"),
+    cache: Path | None = None,
+) -> dict[str, Any]:
+    """A bulge or a dent below a soft skin, learnt in simulation and judged on CalculiX's presses.
+
+    Args:
+        sensor: name or file of the sensor, a dome.
+        skins: which.
+        presses: simulated ones to learn from, of each class.
+        judged: presses that CalculiX solves, of each class.
+        shifted: presses for each changed skin, of each class.
+        classifiers: of each skin.
+        epochs: of a classifier's training.
+        seed: of the draws.
+        images: folder of the picture.
+        cache: folder of the presses solved before (the user's cache).
+
+    Raises:
+        CalculixMissingError: CalculiX is not installed.
+        ValueError: as `Study`, or a sensor that is not a dome.
+
+    Returns:
+        Each skin's rows by its name, `study`, and CalculiX's version.
+    """
+    calculix_path()
+    torch.set_num_threads(1)
+    study = Study(
+        sensor,
+        skins=skins,
+        seeds=classifiers,
+        presses=presses,
+        judged=judged,
+        shifted=shifted,
+        plan=PressPlan(seed=seed),
+        classifier=replace(TRAINING, epochs=epochs),
+    )
+    kept = cache or cache_directory() / "tumour"
+    dome = coarse(load_sensor(sensor))
+    simulation = Simulation(dome, kept)
+    eye = Eye(dome, simulation.skin)
+    figures: dict[str, Any] = {}
+    shown: dict[str, list[SolvedPress]] = {}
+    for name in study.skins:
+        shown[name], asked = _judged_presses(study, name, dome, kept)
+        key = content_key(
+            (*PHYSICS, "../studies/classification", "../studies/tumour"),
+            replace(study, skins=(name,)),
+            SKINS[name],
+            replace(dome, name=""),
+            eye.idle,
+        )
+        path = kept / "rows" / f"{name}-{key}.json"
+        if not path.is_file():
+            rows = _skin_rows(study, name, simulation, eye, shown[name])
+            rows["ours"]["presses_asked"] = asked
+            write_json(path, rows | {"origin": provenance()})
+        figures[name] = read_json(path)
+        print(f"{name}: {100.0 * figures[name]['ours']['accuracy']:.1f} %")
+    write_presses(images / "tumour.png", simulation, eye, shown)
+    asked_for = {
+        **asdict(study),
+        "skins": {name: asdict(SKINS[name]) for name in study.skins},
+        "classes": list(CLASSES),
+    }
+    return {**figures, "study": asked_for, "calculix": calculix_version()}
+
+
+def _judged_presses(
+    study: Study, name: str, sensor: SensorSpecification, cache: Path
+) -> tuple[list[SolvedPress], int]:
+    """Return CalculiX's presses onto a skin, and how many were asked for."""
+    stream = 10 * list(SKINS).index(name) + JUDGED
+    plan = replace(study.plan, shares=study.judged_shares)
+    drawn = plan.drawn(study.judged, stream, in_plane=True)
+    random = np.random.default_rng([study.plan.seed, stream, 1])
+    turns = random.uniform(0.0, 2.0 * np.pi, (len(drawn), study.judged_turns))
+    print(f"{name}: {len(drawn)} presses by CalculiX")
+    return calculix_presses(sensor, SKINS[name], drawn, turns, cache), len(drawn)
+
+
 @dataclass(frozen=True)
 class _Judged:
     """Images as taken, their classes, and the press of each."""
@@ -106,80 +206,20 @@ class _Judged:
     press: IntArray
 
 
-def run_study(study: Study, cache: Path, tell: Progress) -> dict[str, Any]:
-    """Return the figures of a study; rows and presses that are kept are not made again.
-
-    Args:
-        study: what is asked.
-        cache: folder of the rows made and the presses solved before.
-        tell: called with a line about what is being done.
-
-    Returns:
-        Each skin's rows by its name, and `study`.
-
-    Raises:
-        CalculixMissingError: CalculiX is not installed, and a press was not solved before.
-        ValueError: a sensor that is no dome.
-    """
-    torch.set_num_threads(1)
-    sensor = coarse(load_sensor(study.sensor))
-    simulation = Simulation(sensor, cache, tell)
-    eye = Eye(sensor, simulation.skin)
-    figures: dict[str, Any] = {}
-    for name in study.skins:
-        key = content_key(
-            (*PHYSICS, "../studies/classification", "../studies/tumour"),
-            replace(study, skins=(name,)),
-            SKINS[name],
-            replace(sensor, name=""),
-            eye.idle,
-        )
-        path = cache / "rows" / f"{name}-{key}.json"
-        if not path.is_file():
-            rows = _skin_rows(study, name, simulation, eye, cache, tell)
-            write_json(path, rows | {"origin": provenance()})
-        figures[name] = read_json(path)
-        tell(f"{name}: {100.0 * figures[name]['ours']['accuracy']:.1f} %")
-    skins = {name: asdict(SKINS[name]) for name in study.skins}
-    return {**figures, "study": {**asdict(study), "skins": skins, "classes": list(CLASSES)}}
-
-
-def judged_presses(
-    study: Study, name: str, cache: Path, tell: Progress
-) -> tuple[list[SolvedPress], int]:
-    """Return CalculiX's presses onto a skin, and how many were asked for."""
-    sensor = coarse(load_sensor(study.sensor))
-    stream = 10 * list(SKINS).index(name) + JUDGED
-    plan = replace(study.plan, shares=study.judged_shares)
-    drawn = plan.drawn(study.judged, stream, in_plane=True)
-    random = np.random.default_rng([study.plan.seed, stream, 1])
-    turns = random.uniform(0.0, 2.0 * np.pi, (len(drawn), study.judged_turns))
-    solved = calculix_presses(
-        sensor,
-        SKINS[name],
-        drawn,
-        turns,
-        cache=cache,
-        progress=lambda line: tell(f"{name}: {line}"),
-    )
-    return solved, len(drawn)
-
-
 def _skin_rows(
-    study: Study, name: str, simulation: Simulation, eye: Eye, cache: Path, tell: Progress
+    study: Study, name: str, simulation: Simulation, eye: Eye, real: Sequence[SolvedPress]
 ) -> dict[str, Any]:
     layer, stream = SKINS[name], 10 * list(SKINS).index(name)
     drawn = study.plan.drawn(study.presses, stream + LEARNT)
     simulated = simulation.solved(layer, drawn, study.turns)
     learnt = [p for n, p in enumerate(simulated) if n // 2 % APART != APART - 1]
     apart = [p for n, p in enumerate(simulated) if n // 2 % APART == APART - 1]
-    real, asked = judged_presses(study, name, cache, tell)
     reality = _taken(study, eye, real, AS_ASSUMED)
     networks, loads = _learnt(study, eye, learnt)
     rigid = rigid_presses(
         simulation.skin,
         layer,
-        coarse(load_sensor(study.sensor)).gel.outer_radius_m,
+        simulation.sensor.gel.outer_radius_m,
         [press.press for press in learnt],
         min(study.turns, RIGID_TURNS),
     )
@@ -190,7 +230,7 @@ def _skin_rows(
         for name, presses in (("simulated", apart), ("same_presses", again))
         if presses
     }
-    ours = _row(networks, reality) | simulated_rows | {"presses_asked": asked}
+    ours = _row(networks, reality) | simulated_rows
     shifts = {OTHER_LIGHT: _row(networks, _taken(study, eye, real, OTHER))}
     if study.shifted:
         shifts |= _changed_rows(study, layer, stream, simulation, eye, networks)
@@ -233,7 +273,7 @@ def _learnt(
     study: Study, eye: Eye, presses: Sequence[SolvedPress]
 ) -> tuple[list[TouchClassifier], tuple[float, float]]:
     """Return classifiers of presses, and the threshold and the sign of the mean motion that
-    tells most of the same images right."""
+    classify most of the same images right."""
     seen, labels, _ = eye.taken(presses, TO_LEARN_FROM, study.plan.seed)
     networks = [
         train_classifier(seen, labels, len(CLASSES), study.classifier, study.plan.seed + seed)

@@ -23,7 +23,7 @@ from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.worker_pool import pool
 from dotsim_ros.specification import SensorSpecification, write_sensor
 from studies.classification.domains import DOMAINS
-from studies.classification.record import classification
+from studies.classification.study import classification
 
 SIZE = (96, 72)
 INDENTERS = {

@@ -22,7 +22,7 @@ from dotsim_ros.data.trajectory import (
     Trajectory,
     write_trajectory,
 )
-from studies.optics.record import optics
+from studies.optics.study import optics
 
 RADIUS_M = 0.01575
 TIP_DEPTHS_M = (-0.5e-3, 0.5e-3, 1.2e-3, 1.9e-3, 2.5e-3)

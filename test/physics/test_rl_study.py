@@ -15,9 +15,8 @@ from work_here import open_pool_here
 from dotsim_ros.control.environments import box_yaw, reinforcement
 from dotsim_ros.io.worker_pool import pool
 from studies import run
-from studies.rl import record, study, worlds
-from studies.rl.study import Study
-from studies.rl.sweep import settings_to_try
+from studies.rl import study, worlds
+from studies.rl.study import Study, settings_to_try
 from studies.rl.worlds import AS_LEARNT, WORLDS
 
 
@@ -35,7 +34,7 @@ def test_settings_are_tried_and_what_was_learnt_is_not_learnt_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pool, "open_worker_pool", open_pool_here)
-    monkeypatch.setattr(record, "ROLLOUT_EPISODES", 1)
+    monkeypatch.setattr(study, "ROLLOUT_EPISODES", 1)
     # What is seen is scaled by a few moves, where training itself takes no more.
     monkeypatch.setattr(reinforcement, "RANDOM_MOVES", 8)
     # Episodes of a third of a second are played and judged like those of one.

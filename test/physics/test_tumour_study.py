@@ -20,9 +20,9 @@ from studies.tumour import pictures, presses, reality, study
 from studies.tumour.images import OTHER, Eye, Light
 from studies.tumour.layer_press import LayerPressSettings
 from studies.tumour.presses import SolvedPress, coarse, skin_turns, turned_skins
-from studies.tumour.record import tumour
 from studies.tumour.rigid import rigid_presses
 from studies.tumour.skins import CLASSES, SKINS, PressPlan
+from studies.tumour.study import tumour
 
 needs_calculix = pytest.mark.skipif(
     shutil.which("ccx") is None, reason="CalculiX is not installed: apt-get install calculix-ccx"

@@ -50,9 +50,7 @@ from studies.geometry.explicit import (
     ExplicitFit,
     ExplicitModel,
 )
-from studies.geometry.record import geometry_later
-from studies.geometry.registry import sensor_for
-from studies.geometry.report import read_measured, read_with_later
+from studies.geometry.registry import sensor_file
 from studies.geometry.runtime import Effort, model_of, runtime
 from studies.geometry.scores import (
     Split,
@@ -60,6 +58,7 @@ from studies.geometry.scores import (
     leave_one_indenter_out,
     measurement_noise,
 )
+from studies.geometry.study import geometry_later, read_measured, read_with_later
 from studies.rivals import taxim
 
 FloatArray = NDArray[np.float64]
@@ -362,11 +361,11 @@ def test_broken_bag_is_left_out_and_named(tmp_path: Path) -> None:
 
 
 def test_folder_of_sensors_holds_one_for_each_split(tmp_path: Path) -> None:
-    (tmp_path / "ball.yaml").write_text("material: {youngs_modulus_pa: 123456.0}")
-    found = sensor_for(Split("ball", (), ()), tmp_path)
-    assert found.material.youngs_modulus_pa == 123456.0
+    (tmp_path / "ball.yaml").write_text("")
+    assert sensor_file("ball", tmp_path) == tmp_path / "ball.yaml"
+    assert sensor_file("ball", "densetact2") == "densetact2"
     with pytest.raises(FileNotFoundError, match=r"no other\.yaml: calibrate"):
-        sensor_for(Split("other", (), ()), tmp_path)
+        sensor_file("other", tmp_path)
 
 
 def test_the_study_judges_every_split(

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.twin.footage import OpticalData, OpticalPress, Rest
-from dotsim_ros.twin.image_metrics import LARGEST_PSNR_DB
+from dotsim_ros.twin.image_metrics import LARGEST_PSNR_DB, psnr_db
 from studies.optics import rows as optics_rows
+from studies.optics.image_scores import score_image, ssim_map
 from studies.optics.judge import (
     Idle,
     WarpedIdle,
@@ -27,10 +28,10 @@ from studies.optics.judge import (
     summarize,
 )
 from studies.optics.models import FitSettings, factory_of
-from studies.optics.report import evaluate_optics, shown_frames
 from studies.optics.rows import RowMaker
 from studies.optics.sheet import write_sheets
-from studies.optics.split import OpticalSplit
+from studies.optics.split import LEVELS, WAYS, OpticalSplit, Recorded, optical_splits
+from studies.optics.study import evaluate_optics, shown_frames
 
 SIZE = (24, 32)
 DEPTHS_M = np.array([-0.0001, 0.001, 0.0021, 0.0032])
@@ -92,9 +93,6 @@ def maker(folder: Path, **settings: Any) -> RowMaker:
     return RowMaker(DATA, no_clipping, brighter, folder, FitSettings(**settings))
 
 
-# Frames
-
-
 # Scores
 
 
@@ -133,7 +131,7 @@ def test_images_of_another_size_are_refused() -> None:
         score_frames(Small(), PRESSES, [("1_shape_0", 2)], REST)
 
 
-def test_ceilings_are_told_from_the_data() -> None:
+def test_ceilings_come_from_the_data() -> None:
     random = np.random.default_rng(3)
     grey = np.full((5, 100, 100, 3), 120.0)
     idle = np.rint(grey + 2.0 * random.standard_normal(grey.shape)).astype(np.uint8)
@@ -158,13 +156,14 @@ def test_one_rendering_is_noisier_than_its_mean() -> None:
 # Rows
 
 
-def test_a_row_is_made_once(tmp_path: Path) -> None:
+def test_a_row_is_made_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     split = splits_of(DATA)["easy"]["by_trajectory"]
     shown = shown_frames(split, PRESSES, seed=0)
-    lines: list[str] = []
     first = maker(tmp_path).make("carried", split, shown)
-    again = replace(maker(tmp_path), progress=lines.append).make("carried", split, shown)
-    assert lines == [f"easy, by_trajectory, carried: made before, on {first.date}"]
+    capsys.readouterr()
+    again = maker(tmp_path).make("carried", split, shown)
+    made_before = f"easy, by_trajectory, carried: made before, on {first.date}\n"
+    assert capsys.readouterr().out == made_before
     assert again.scores == first.scores
     assert list(again.images) == list(first.images) == shown
     for key, image in first.images.items():
@@ -172,7 +171,7 @@ def test_a_row_is_made_once(tmp_path: Path) -> None:
         assert np.array_equal(again.images[key], image)
 
 
-def test_a_broken_row_is_made_anew(tmp_path: Path) -> None:
+def test_a_broken_row_is_made_again(tmp_path: Path) -> None:
     split = splits_of(DATA)["easy"]["by_frame"]
     first = maker(tmp_path).make("idle", split, [])
     (path,) = tmp_path.glob("*.json")
@@ -220,3 +219,122 @@ def test_figures_and_sheets(tmp_path: Path) -> None:
     for level in ("easy", "hard"):
         assert (tmp_path / "images" / f"optics_{level}.jpg").stat().st_size > 1000
     json.dumps(figures)
+
+
+# Splits
+
+RECORDINGS = [
+    Recorded(f"{number}_shape_{k}", f"{number}_shape", 6 + k)
+    for number in range(1, 7)
+    for k in range(4)
+]
+FRAMES = {(r.name, frame) for r in RECORDINGS for frame in range(r.frame_count)}
+
+
+def indenters(frames: tuple[tuple[str, int], ...]) -> set[str]:
+    """Return the numbers of the indenters of frames."""
+    return {name[0] for name, _ in frames}
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("way", WAYS)
+def test_nothing_judged_is_fitted_on(level: str, way: str) -> None:
+    split = optical_splits(RECORDINGS)[level][way]
+    assert (split.level, split.way) == (level, way)
+    assert not set(split.train) & set(split.test)
+    assert set(split.train) | set(split.test) <= FRAMES
+    assert list(split.train) == sorted(split.train)
+    assert list(split.test) == sorted(split.test)
+
+
+def test_levels_take_the_indenters_of_the_paper() -> None:
+    splits = optical_splits(RECORDINGS)
+    for way in WAYS:
+        easy, medium, hard = (splits[level][way] for level in LEVELS)
+        assert indenters(easy.train + easy.test) == {"1", "3"}
+        assert indenters(medium.train + medium.test) == {"1", "2", "3", "4", "5", "6"}
+        assert indenters(hard.train) == {"2", "4", "5", "6"}
+        assert indenters(hard.test) == {"1", "3"}
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_trajectories_stay_whole(level: str) -> None:
+    split = optical_splits(RECORDINGS)[level]["by_trajectory"]
+    assert not {name for name, _ in split.train} & {name for name, _ in split.test}
+
+
+def test_neighbours_of_judged_frames_are_fitted_on_by_frame() -> None:
+    split = optical_splits(RECORDINGS)["medium"]["by_frame"]
+    train = set(split.train)
+    beside = [(n, f - 1) in train or (n, f + 1) in train for n, f in split.test]
+    assert sum(beside) > 0.8 * len(beside)
+
+
+def test_a_longer_trajectory_of_another_level_changes_no_draw() -> None:
+    more = [*RECORDINGS, Recorded("2_shape_9", "2_shape", 5)]
+    assert optical_splits(more)["easy"] == optical_splits(RECORDINGS)["easy"]
+
+
+# Scores of an image
+
+IMAGE_SIZE = (40, 50)
+WHOLE = {"frame": None}
+
+
+def noise_image(seed: int = 0) -> NDArray[np.uint8]:
+    """Return an image of noise far from both ends of the scale."""
+    random = np.random.default_rng(seed)
+    return random.integers(100, 156, size=(*IMAGE_SIZE, 3), dtype=np.uint8)
+
+
+def test_a_shift_of_all_colours_is_every_error() -> None:
+    image = noise_image()
+    same = score_image(image, image, WHOLE)["frame"]
+    assert same.psnr_db == LARGEST_PSNR_DB
+    assert (same.mean_l2, same.significant_l2) == (0.0, 0.0)
+    assert same.ssim == pytest.approx(1.0)
+    score = score_image(image + np.uint8(51), image, WHOLE)["frame"]
+    assert score.psnr_db == pytest.approx(20.0 * np.log10(5.0))
+    assert (score.mean_l2, score.significant_l2) == pytest.approx((0.2 * 3**0.5,) * 2)
+
+
+def test_the_worst_hundredth_is_significant() -> None:
+    image = noise_image()
+    wrong = image.copy()
+    wrong.reshape(-1, 3)[:20, 1] += 51
+    score = score_image(wrong, image, WHOLE)["frame"]
+    assert IMAGE_SIZE[0] * IMAGE_SIZE[1] == 2000
+    assert score.significant_l2 == pytest.approx(0.2)
+    assert score.mean_l2 == pytest.approx(0.002)
+    assert score.psnr_db == pytest.approx(psnr_db(0.2**2 * 20 / 6000))
+
+
+def test_a_region_is_judged_by_itself() -> None:
+    image = noise_image()
+    wrong = image.copy()
+    wrong[:, :10] += np.uint8(51)
+    left = np.zeros(IMAGE_SIZE, dtype=np.bool_)
+    left[:, :10] = True
+    scores = score_image(wrong, image, {"frame": None, "left": left, "right": ~left})
+    assert scores["left"].mean_l2 == pytest.approx(0.2 * np.sqrt(3.0))
+    assert scores["frame"].mean_l2 == pytest.approx(0.2 * np.sqrt(3.0) / 5.0)
+    assert scores["right"].psnr_db == LARGEST_PSNR_DB
+    assert scores["left"].ssim < scores["frame"].ssim < scores["right"].ssim
+
+
+def test_ssim_falls_with_structure_not_with_brightness() -> None:
+    image = noise_image()
+    shuffled = noise_image(seed=5)
+    brighter = image + np.uint8(10)
+    assert ssim_map(shuffled, image).mean() < 0.2
+    assert ssim_map(brighter, image).mean() > 0.95
+
+
+def test_wrong_shapes_are_refused() -> None:
+    image = noise_image()
+    with pytest.raises(ValueError, match=r"shapes \(40, 49, 3\) and \(40, 50, 3\)"):
+        score_image(image[:, :-1], image, WHOLE)
+    with pytest.raises(ValueError, match="float64"):
+        score_image(image.astype(np.float64), image, WHOLE)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="region 'disc' has shape"):
+        score_image(image, image, {"disc": np.zeros(IMAGE_SIZE, dtype=np.bool_)})

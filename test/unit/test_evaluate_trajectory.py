@@ -27,7 +27,7 @@ from dotsim_ros.io.files import parameter_path
 from dotsim_ros.io.page import as_markdown
 from dotsim_ros.io.provenance import provenance
 from dotsim_ros.specification import load_sensor
-from studies.trajectory.pictures import write_grid
+from studies.trajectory.study import write_grid
 from studies.trajectory.trials import (
     SETTINGS,
     Setting,
@@ -235,7 +235,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path) -> None:
         return recording_of(path, seconds=seconds)
 
     def run(plan: TrialPlan) -> TrajectoryTrials:
-        return run_trials(plan, loop, LIMITS, tmp_path, progress=lambda line: None)
+        return run_trials(plan, loop, LIMITS, tmp_path)
 
     with pytest.raises(KeyboardInterrupt):
         run(plan_of())
@@ -254,7 +254,9 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path) -> None:
     assert len(asked) == 19
 
 
-def test_a_loop_that_does_not_start_is_tried_again_and_then_told(tmp_path: Path) -> None:
+def test_a_loop_that_does_not_start_is_tried_again_and_then_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     tries = []
 
     def loop(setting: Setting, path: str, start_m: Any, seconds: float) -> LoopRecording:
@@ -264,15 +266,14 @@ def test_a_loop_that_does_not_start_is_tried_again_and_then_told(tmp_path: Path)
         return recording_of(path)
 
     plan = TrialPlan(plan_of().settings[:1], ("line",), trial_count=1)
-    lines: list[str] = []
-    run_trials(plan, loop, LIMITS, tmp_path / "a", progress=lines.append)
-    assert sum("once more" in line for line in lines) == 2
+    run_trials(plan, loop, LIMITS, tmp_path / "a")
+    assert capsys.readouterr().out.count("once more") == 2
 
     def broken(setting: Setting, path: str, start_m: Any, seconds: float) -> LoopRecording:
         raise OSError("nobody there")
 
     with pytest.raises(OSError, match="nobody there"):
-        run_trials(plan, broken, LIMITS, tmp_path / "b", progress=lines.append)
+        run_trials(plan, broken, LIMITS, tmp_path / "b")
 
 
 def test_starts_are_near_the_path_and_the_same_for_a_seed() -> None:
@@ -314,7 +315,6 @@ def test_the_figures_are_of_all_trials(tmp_path: Path) -> None:
         ),
         LIMITS,
         tmp_path,
-        progress=lambda line: None,
     )
     figures = trajectory_figures(plan, trials)
     assert figures["simulated"]["trials"] == 4

@@ -29,10 +29,11 @@ from dotsim_ros.twin.ball_presses import (
     gel_presses,
     press_profiles,
 )
-from studies.optics.fots_balls import (
-    BALL_RADIUS_M,
-    PIXELS_PER_METRE,
-    read_fots_balls,
+from studies.optics.ball_recordings import (
+    FOTS,
+    RECORDINGS,
+    BallRecording,
+    read_ball_recording,
 )
 from studies.optics.gelsight import (
     SENSOR,
@@ -40,9 +41,9 @@ from studies.optics.gelsight import (
     cap_presses,
     with_gains_of,
 )
-from studies.optics.marked_photographs import BallRecording
-from studies.optics.taxim_balls import read_taxim_balls
 
+BALL_RADIUS_M = RECORDINGS[FOTS].ball_radius_m
+PIXELS_PER_METRE = RECORDINGS[FOTS].pixels_per_metre
 SIZE = (80, 60)
 COARSE = replace(
     SENSOR,
@@ -92,7 +93,7 @@ def write_recording(folder: Path, table: str, pressed: NDArray[np.uint8]) -> Non
 
 def test_a_recording_is_read(tmp_path: Path) -> None:
     write_recording(tmp_path, "0001.png,50,70,16\n", photograph((50, 70)))
-    recording = read_fots_balls(tmp_path)
+    recording = read_ball_recording(tmp_path, FOTS)
     (press,) = recording.presses
     assert (press.name, press.centre_px.tolist(), press.radius_px) == ("0001.png", [50, 70], 16)
     assert np.array_equal(press.image, photograph((50, 70)))
@@ -118,14 +119,14 @@ def test_bad_recordings_are_refused(
 ) -> None:
     write_recording(tmp_path, table, pressed)
     with pytest.raises((ValueError, FileNotFoundError), match=words):
-        read_fots_balls(tmp_path)
+        read_ball_recording(tmp_path, FOTS)
 
 
 def test_the_published_recordings_are_read() -> None:
     real = Path(__file__).parents[3] / "shared" / "real"
     if not real.is_dir():
         pytest.skip("the recordings are not here")
-    recording = read_taxim_balls(real / "gelsight_taxim", "gelsight_mini")
+    recording = read_ball_recording(real / "gelsight_taxim", "taxim_gelsight_mini")
     assert len(recording.presses) == 18
     assert recording.idle.shape == (480, 640, 3)
 

@@ -54,8 +54,12 @@ def pair_of(pressed: NDArray[np.uint8]) -> RealPair:
     return RealPair(pattern(), pressed, disc_mask())
 
 
+def search_of(pressed: NDArray[np.uint8]) -> PressSearch:
+    return PressSearch(pair_of(pressed), COARSE, DISC, Lighting(), Vignetting())
+
+
 def test_a_known_press_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = PressSearch(pair_of(pattern()), COARSE, DISC, Lighting(), Vignetting())
+    search = search_of(pattern())
     pressed = search.warping.warp(search.view(TRUTH))
     start = BallPose(0.2, 0.2, 1.5e-3)
     monkeypatch.setattr(real_pair, "EVALUATIONS", 30)
@@ -75,7 +79,7 @@ def test_the_rows_of_a_pair(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(real_pair, "GRID_DEPTHS_M", (1.0e-3,))
     monkeypatch.setattr(real_pair, "EVALUATIONS", 4)
     pressed = (0.9 * pattern()).astype(np.uint8)
-    figures = evaluate_real_pair(pair_of(pressed), COARSE, DISC, Lighting(), Vignetting())
+    figures = evaluate_real_pair(search_of(pressed))
     rows = figures["rows"]
     assert set(rows) == {"idle", "carried", "carried_by_pattern", "shaded", "shaded_by_pattern"}
     assert rows["idle"]["press"] is None
@@ -94,7 +98,7 @@ def test_likeness_is_of_the_pattern_not_of_the_light() -> None:
 
 
 def test_the_place_of_change_is_where_the_image_changes() -> None:
-    search = PressSearch(pair_of(pattern()), COARSE, DISC, Lighting(), Vignetting())
+    search = search_of(pattern())
     x, y = 0.3, -0.2
     place = np.array([x, y, np.sqrt(1.0 - x * x - y * y)]) * SENSOR.gel.outer_radius_m
     column, row = search.camera.project(place)

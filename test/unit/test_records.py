@@ -16,7 +16,7 @@ import pytest
 from programs import ROOT
 
 from dotsim_ros.cli.main import MOVED, main, verbs
-from dotsim_ros.io.provenance import commit_of
+from dotsim_ros.io.provenance import commit_of, provenance
 from studies import run
 from studies.results_page import RESULTS
 
@@ -195,3 +195,25 @@ def test_options_are_those_of_the_function(
     monkeypatch.setitem(run.STUDIES, "fast", run.Study(1, "made_up:fast", before=("false",)))
     assert run.main(["fast"]) == 1
     assert run.main(["fast", "--count", "2"]) == 0
+
+
+@pytest.mark.parametrize("called_by", ["real", "link"])
+def test_an_installed_command_goes_by_its_name(
+    called_by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    monkeypatch.setattr(sys, "executable", str(tmp_path / called_by / "python"))
+    monkeypatch.setattr(sys, "argv", [str(tmp_path / "real" / "dotsim_ros"), "view", "bag"])
+    assert provenance()["command"] == "dotsim_ros view bag"
+
+
+@pytest.mark.parametrize(
+    ("program", "command"),
+    [("tools/canary.py", "tools/canary.py"), ("/home/me/studies/__main__.py", "-m studies")],
+)
+def test_a_script_goes_by_its_path_and_a_package_by_its_name(
+    program: str, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", [program, "--seconds", "15"])
+    assert provenance()["command"] == f"python {command} --seconds 15"

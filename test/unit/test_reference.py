@@ -27,8 +27,8 @@ from studies.reference.axisymmetric import (
     AxisymmetricSettings,
     dome_section,
 )
-from studies.reference.data_set import read_solved_presses
-from studies.reference.deck import EARLY_M, Deck, StepControl
+from studies.reference.blocks import StepControl
+from studies.reference.deck import EARLY_M, Deck
 from studies.reference.mesh import (
     MeshedPress,
     dome_mesh,
@@ -41,7 +41,7 @@ from studies.reference.press import (
     reference_deck,
 )
 from studies.reference.presses import reference_presses
-from studies.reference.results import solved_press, stamps_ns
+from studies.reference.results import read_solved_presses, solved_press, stamps_ns
 from studies.reference.run import CalculixError, CalculixMissingError, solve
 
 OUTER_M, CORE_M = 0.01575, 0.006

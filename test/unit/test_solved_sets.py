@@ -41,7 +41,6 @@ from studies.gap.solved_score import (
     score_sets,
 )
 from studies.hidden import solved_sets, solved_unit
-from studies.hidden.record import hide
 from studies.hidden.solved_draw import (
     COMPOSITION,
     DECLARED,
@@ -52,9 +51,9 @@ from studies.hidden.solved_draw import (
     SINGLE,
     draw_series,
 )
-from studies.hidden.solved_sets import SeriesPlan, make_sets, read_series
+from studies.hidden.solved_sets import SeriesPlan, hide, make_sets, read_series
 from studies.hidden.solved_unit import Protocol, protocols
-from studies.reference.deck import StepControl
+from studies.reference.blocks import StepControl
 from studies.reference.press import ReferenceSettings, press_poses, reference_deck
 from studies.reference.run import solve
 from studies.reference.unit_deck import MaxwellBranch, OgdenStiffening, StiffPart, UnitDeck
@@ -314,7 +313,7 @@ def test_a_set_is_made_resumed_and_its_truth_sealed(
         _hide(out, seed=7)
     half = next(half for half in HALVES if half != record.half)
     with pytest.raises(ValueError, match="no set of the half"):
-        score_sets(ScoreRequest(out, half, SENSOR, tmp_path / "run"), print)
+        score_sets(ScoreRequest(out, half, SENSOR, tmp_path / "run"))
 
 
 @needs_calculix
@@ -384,7 +383,7 @@ def test_a_trajectory_that_is_not_solved_is_listed_and_is_no_data(
     with pytest.raises(OSError, match="MB left for its files"):
         _hide(tmp_path / "sets", retry=True)
     assert read_series(tmp_path / "sets")[1] == [record]
-    row = score_sets(ScoreRequest(tmp_path / "sets", record.half, SENSOR, tmp_path / "run"), print)
+    row = score_sets(ScoreRequest(tmp_path / "sets", record.half, SENSOR, tmp_path / "run"))
     assert row["sets"][0]["outcome"] == "too few trajectories"
 
 
@@ -396,7 +395,7 @@ def test_what_stands_in_the_way_is_named(
         with pytest.raises(FileExistsError, match=r"holds files, and no index\.json"):
             _hide(tmp_path)
         with pytest.raises(ValueError, match="no trajectory somersault"):
-            make_sets(tmp_path / "new", SeriesPlan(SENSOR, 1, 0, ("somersault",)), print)
+            make_sets(tmp_path / "new", SeriesPlan(SENSOR, 1, 0, ("somersault",)))
     monkeypatch.setenv("PATH", "")
     assert run.main(["hide", "--out", str(tmp_path / "new")]) == 1
     assert "hide: CalculiX is not installed" in capsys.readouterr().err

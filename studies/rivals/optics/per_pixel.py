@@ -76,7 +76,7 @@ class PerPixelImage:
     ground: Ground = idle_ground
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
-        """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`."""
+        """Return images (F, H, W, 3); see `studies.optics.judge.ImageModel`."""
         grid = pixel_grid(rest)
         images = []
         for normal, below in zip(press.normal, self.ground(press, rest), strict=True):

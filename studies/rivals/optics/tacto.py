@@ -142,7 +142,7 @@ class TactoImage:
     ground: Ground = idle_ground
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
-        """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`.
+        """Return images (F, H, W, 3); see `studies.optics.judge.ImageModel`.
 
         Args:
             press: with the depth and the normals of Tacto's own, clipped skin.

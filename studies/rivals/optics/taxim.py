@@ -135,7 +135,7 @@ class TaximImage:
     ground: Ground = idle_ground
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
-        """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`."""
+        """Return images (F, H, W, 3); see `studies.optics.judge.ImageModel`."""
         grid = pixel_grid(rest)
         terms = polynomial_terms(grid.position).astype(np.float32)
         return np.stack(

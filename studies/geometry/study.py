@@ -1,36 +1,38 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The geometry table of a data set: every model on every split, as figures."""
+"""Surfaces and forces of every model, on presses that were held out or recorded later."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
-from dotsim_ros.data.data_set import DataSet
+from dotsim_ros.data.data_set import DataSet, read_data_set
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import read_observation, summarize_reasons
 from dotsim_ros.data.split import (
-    HELD_OUT_COUNT,
     hold_out_of_protocols,
 )
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.twin.press_metrics import (
     CONTACT_REACH_M,
-    JUDGED_DEPTH_M,
     PressFrameScore,
     by_indenter,
     judged_frames,
     summarize,
 )
 from dotsim_ros.twin.surface_metrics import F_SCORE_THRESHOLD_M, SAMPLE_COUNT, SIGNIFICANT_SHARE
+from studies.data import MEASURED, SENSOR_A
+from studies.geometry.registry import NAMES, GeometryModel, factories_of
 from studies.geometry.scores import (
     Factory,
+    Measured,
     MeasuredNoise,
     ModelScores,
     Split,
@@ -43,21 +45,68 @@ from studies.geometry.scores import (
 HELD_OUT = "held_out"
 
 
-@dataclass(frozen=True)
-class Measured:
-    """What a data set holds, read.
+def geometry(
+    *,
+    data: Path = SENSOR_A,
+    sensor: str = "sensor_a",
+    models: tuple[GeometryModel, ...] = NAMES,
+    splits: Literal["held_out", "all"] = "held_out",
+    count: int = 9,
+    stated: str = "densetact2",
+    from_depth_mm: float = 2.0,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Surfaces and forces of every model on presses that were held out.
 
-    Attributes:
-        presses: by name.
-        indenters: by name.
-        skin: at rest.
-        left_out: presses that could not be read, with the reason, by name.
+    Args:
+        data: folder of a data set.
+        sensor: name or file of the sensor, or a folder with held_out.yaml and INDENTER.yaml.
+        models: which.
+        splits: the drawn one alone, or with each indenter left out in turn.
+        count: presses held out.
+        stated: sensor as its maker states it, for the explicit gels.
+        from_depth_mm: least depth of the frames that are judged.
+        seed: of the draws.
     """
+    measured = read_measured(read_data_set(data))
+    return _evaluate(
+        measured,
+        splits_of(measured, count=count, seed=seed, with_indenters=splits == "all"),
+        factories_of(models, sensor=sensor, stated=stated),
+        seed=seed,
+        from_depth_m=1e-3 * from_depth_mm,
+    )
 
-    presses: dict[str, Press]
-    indenters: dict[str, Indenter]
-    skin: SkinMesh
-    left_out: dict[str, str] = field(default_factory=dict)
+
+def geometry_later(
+    *,
+    data: Path = MEASURED / "sensor_a_later",
+    fit_data: Path = SENSOR_A,
+    sensor: str = "docs/results/sensor_a_28.yaml",
+    models: tuple[GeometryModel, ...] = NAMES,
+    stated: str = "densetact2",
+    from_depth_mm: float = 2.0,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Surfaces and forces of every model on presses recorded after those that are fitted on.
+
+    Args:
+        data: folder of the later data set, all of which is judged.
+        fit_data: folder of the one to fit on, of the same sensor, with its indenters' meshes.
+        sensor: name or file of the sensor, or a folder with held_out.yaml.
+        models: which.
+        stated: sensor as its maker states it, for the explicit gels.
+        from_depth_mm: least depth of the frames that are judged.
+        seed: of the samples of surfaces.
+    """
+    measured, split = read_with_later(read_data_set(fit_data), read_data_set(data))
+    return _evaluate(
+        measured,
+        [split],
+        factories_of(models, sensor=sensor, stated=stated),
+        seed=seed,
+        from_depth_m=1e-3 * from_depth_mm,
+    )
 
 
 def read_measured(data: DataSet, *, meshes: DataSet | None = None) -> Measured:
@@ -127,9 +176,7 @@ def _is_same_skin(skin: SkinMesh, other: SkinMesh) -> bool:
     )
 
 
-def splits_of(
-    measured: Measured, *, count: int = HELD_OUT_COUNT, seed: int = 0, with_indenters: bool = True
-) -> list[Split]:
+def splits_of(measured: Measured, *, count: int, seed: int, with_indenters: bool) -> list[Split]:
     """Return the drawn split, and that of each indenter left out.
 
     Raises:
@@ -143,58 +190,33 @@ def splits_of(
     return splits
 
 
-def evaluate_geometry(
+def _evaluate(
     measured: Measured,
     splits: Sequence[Split],
     factories: Mapping[str, Factory],
     *,
-    seed: int = 0,
-    from_depth_m: float = JUDGED_DEPTH_M,
-    progress: Callable[[str], None] = lambda _line: None,
+    seed: int,
+    from_depth_m: float,
 ) -> dict[str, Any]:
     """Return the figures of every model on every split, as the JSON file holds them.
-
-    Args:
-        measured: the data set.
-        splits: the drawn one and those of the indenters.
-        factories: makes each model, by name.
-        seed: of the samples of the surfaces.
-        from_depth_m: depth of the tip from which frames are judged.
-        progress: called with a line that says what is being done.
 
     Raises:
         ValueError: a model could not be made, or no frame is deep enough.
     """
+    how: dict[str, Any] = {"seed": seed, "from_depth_m": from_depth_m}
     figures: dict[str, Any] = {}
     for name, factory in factories.items():
         results = {}
         for split in splits:
-            progress(f"{name}, {split.name}: fitting on {len(split.train)} presses")
-            results[split.name] = evaluate_model(
-                factory,
-                split,
-                measured.presses,
-                measured.indenters,
-                measured.skin,
-                seed=seed,
-                from_depth_m=from_depth_m,
-                progress=lambda press, split=split, name=name: progress(  # type: ignore[misc]
-                    f"{name}, {split.name}: {press}"
-                ),
-            )
+            print(f"{name}, {split.name}: fitting on {len(split.train)} presses")
+            results[split.name] = evaluate_model(factory, split, measured, **how)
         figures[name] = _figures_of(results)
-    progress("floor: each measured surface against itself resampled")
-    judged = {name for split in splits for name in split.test}
+    print("floor: each measured surface against itself resampled")
+    judged = sorted({name for split in splits for name in split.test})
+    presses = {name: measured.presses[name] for name in judged}
     floors = {
-        name: floor_scores(
-            press,
-            measured.indenters[press.indenter],
-            measured.skin,
-            seed=seed,
-            from_depth_m=from_depth_m,
-        )
-        for name, press in sorted(measured.presses.items())
-        if name in judged
+        name: floor_scores(press, measured.indenters[press.indenter], measured.skin, **how)
+        for name, press in presses.items()
     }
     noise = measurement_noise(measured.presses.values(), measured.skin)
     results = {
@@ -207,8 +229,7 @@ def evaluate_geometry(
     figures["definitions"] = definitions(from_depth_m)
     figures["judged_frames"] = {
         name: judged_frames(press, measured.skin, from_depth_m=from_depth_m).tolist()
-        for name, press in sorted(measured.presses.items())
-        if name in judged
+        for name, press in presses.items()
     }
     return figures
 

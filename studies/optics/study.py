@@ -1,23 +1,98 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The optics table of a data set: every model of the image on every split."""
+"""Images of every model on measured frames."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import cache as kept
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.optics.idle_check import read_idle_images
 from dotsim_ros.twin.footage import OpticalPress
+from studies.data import SENSOR_A
+from studies.geometry.registry import sensor_file
 from studies.optics.image_scores import SIGNIFICANT_SHARE, SSIM_SIGMA_PX
-from studies.optics.judge import DEEP_M, is_single_press, summarize
+from studies.optics.judge import DEEP_M, ceilings, is_single_press, splits_of, summarize
+from studies.optics.models import FitSettings, ImageModelName
 from studies.optics.rows import Row, RowMaker
-from studies.optics.split import FrameKey, OpticalSplit
+from studies.optics.sheet import write_sheets
+from studies.optics.source import read_footage
+from studies.optics.split import WAYS, FrameKey, Level, OpticalSplit
 
 SHOWN_FRAMES = 3
+
+
+def optics(
+    *,
+    data: Path = SENSOR_A,
+    sensor: str = "out/apart/apart.yaml",
+    models: tuple[ImageModelName, ...] = (
+        "idle",
+        "idle_refined",
+        "tacto",
+        "tacto_refined",
+        "tacto_warped",
+        "taxim",
+        "taxim_warped",
+        "difftactile",
+        "difftactile_warped",
+        "carried",
+        "ours",
+    ),
+    splits: tuple[Level, ...] = ("easy", "hard"),
+    seed: int = 0,
+    network_epochs: int | None = None,
+    network_width: int | None = None,
+    images: Path = Path("docs/images"),
+    cache: Path | None = None,
+) -> dict[str, Any]:
+    """Images of every model on frames that it was not fitted on.
+
+    Args:
+        data: folder of a data set.
+        sensor: name or file of the sensor, or a folder with LEVEL.yaml for each split.
+        models: which; published networks take hours without CUDA unless their images are small.
+        splits: which.
+        seed: of all draws.
+        network_epochs: of a published network's training (its own number).
+        network_width: of the published networks' images, pixels (their own).
+        images: folder of the sheets of images.
+        cache: folder of the rows made before, and of trainings (the user's cache).
+    """
+    settings = FitSettings(seed, network_epochs, network_width)
+
+    # One at a time: the frames of one take half a gigabyte.
+    @lru_cache(maxsize=1)
+    def maker_of(file: Path | str) -> RowMaker:
+        footage = read_footage(data, file)
+        return RowMaker(
+            footage.data,
+            kept(footage.clipped),
+            lru_cache(maxsize=1)(lambda split: footage.rendered(footage.refined(split.train))),
+            cache or cache_directory() / "optics",
+            settings,
+        )
+
+    figures: dict[str, Any] = {}
+    for level, file in {level: sensor_file(level, sensor) for level in splits}.items():
+        maker = maker_of(file)
+        drawn = splits_of(maker.data, seed=seed)[level]
+        part, rows = evaluate_optics(maker, [drawn[way] for way in WAYS], models, sensor=str(file))
+        figures = joined(figures, part)
+        write_sheets(images, maker, rows)
+    # The measured images decide these, so that any level's data will do.
+    idle_images = read_idle_images(read_data_set(data).idle_images())
+    figures["ceiling"] = ceilings(maker.data, idle_images)
+    return figures
 
 
 def shown_frames(
@@ -72,7 +147,7 @@ def evaluate_optics(
                 failures.append(
                     {"split": split.level, "way": split.way, "model": model, "reason": str(error)}
                 )
-                maker.progress(f"{split.level}, {split.way}, {model} failed: {error}")
+                print(f"{split.level}, {split.way}, {model} failed: {error}")
                 continue
             rows[model] = row
             figures.setdefault(split.level, {}).setdefault(split.way, {})[model] = {
