@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -137,6 +137,25 @@ class DataSet:
         if not names:
             raise ValueError("no trajectory was named, expected at least one")
         return tuple(by_name[name] for name in names)
+
+    def filmed(self, names: Collection[str] = ()) -> tuple[DataSetEntry, ...]:
+        """Return the trajectories with images, all or those of some names.
+
+        Raises:
+            ValueError: there is none, or none of a name.
+        """
+        entries = {entry.name: entry for entry in self.entries if entry.has_images}
+        if not entries:
+            raise ValueError(
+                f"{self.directory} says that none of its trajectories holds images; record them "
+                "with images, or set 'images: true' in its index"
+            )
+        unknown = sorted(set(names) - set(entries))
+        if unknown:
+            raise ValueError(
+                f"{self.directory} has no trajectory with images named {', '.join(unknown)}"
+            )
+        return tuple(entry for name, entry in entries.items() if name in (names or entries))
 
     def idle_images(self) -> tuple[Path, ...]:
         """Return the files of the images without contact."""
