@@ -42,7 +42,6 @@ IDLE = "idle.png"
 SENSOR = "sensor.yaml"
 PREVIEW = "preview.png"
 REPORT = "training.json"
-COLUMNS = ("measured", "warped", "predicted", "error of warped x4", "error of predicted x4")
 ERROR_GAIN = 4.0
 
 
@@ -238,14 +237,12 @@ def write_preview(
         frame = int(np.argmax(press.tip_depth_m))
         measured, warped = press.measured[frame], press.warped[frame]
         image = predicted[index][frame]
-        errors = [change_image(measured, shown, ERROR_GAIN) for shown in (warped, image)]
-        titles = (f"{press.name}, frame {frame}: {COLUMNS[0]}", *COLUMNS[1:])
-        lines.append(
-            np.hstack(
-                [
-                    titled(*pair)
-                    for pair in zip((measured, warped, image, *errors), titles, strict=True)
-                ]
-            )
-        )
+        shown = {
+            f"{press.name}, frame {frame}: measured": measured,
+            "warped": warped,
+            "predicted": image,
+            "error of warped x4": change_image(measured, warped, ERROR_GAIN),
+            "error of predicted x4": change_image(measured, image, ERROR_GAIN),
+        }
+        lines.append(np.hstack([titled(pixels, title) for title, pixels in shown.items()]))
     write_image(path, np.vstack(lines))
