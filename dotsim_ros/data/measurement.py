@@ -15,8 +15,8 @@ import numpy as np
 from dotsim_ros.data.bag import BagReader
 from dotsim_ros.data.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.data.reading import (
-    read_motion,
-    read_observation,
+    PressReader,
+    read_bag,
     starts_in_session,
     summarize_reasons,
 )
@@ -91,19 +91,11 @@ def read_measurement(
         for name in IGNORED
         if any(folder.rglob(name))
     ]
-    has_vertices = data_set.has_skin_mesh
-    skin = data_set.skin_mesh() if has_vertices else own_skin
+    reader = PressReader.of(data_set, own_skin, topics=topics, indenters=indenters)
 
     def read(entry: DataSetEntry) -> Recording:
-        found = read_observation(
-            data_set,
-            entry,
-            skin=skin,
-            has_vertices=has_vertices,
-            topics=topics,
-            indenters=indenters,
-        )
-        return recording_of(found.press, found.indenter, skin)
+        found = reader.read(entry)
+        return recording_of(found.press, found.indenter, reader.skin)
 
     recordings, left_out = _read_each(data_set, read, topics)
     warnings = (*ignored, *left_out)
@@ -116,7 +108,7 @@ def read_measurement(
             digest.update(pose.position_m.tobytes() + pose.quaternion_xyzw.tobytes())
         for array in (press.stamp_s, press.skin_position_m, press.force_n):
             digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
-    return Measurement(folder, skin, recordings, warnings, digest.hexdigest()[:16])
+    return Measurement(folder, reader.skin, recordings, warnings, digest.hexdigest()[:16])
 
 
 def read_poses(
@@ -136,7 +128,7 @@ def read_poses(
     data_set = read_data_set(data)
 
     def read(entry: DataSetEntry) -> Recording:
-        press = read_motion(entry, topics=topics)
+        press = read_bag(entry, topics=topics, channels=("pose",)).press()
         count = press.frame_count
         planned = replace(
             press,

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from dotsim_ros.data.data_set import DataSet, find_indenter
-from dotsim_ros.data.reading import read_motion
+from dotsim_ros.data.reading import read_bag
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.learning.pattern import with_learned_pattern
@@ -49,7 +49,7 @@ def clipped_presses(
     for press in data.presses:
         if press.indenter not in indenters:
             indenters[press.indenter] = find_indenter(data_set, press.indenter)
-        poses = read_motion(entries[press.name]).poses
+        poses = read_bag(entries[press.name], channels=("pose",)).press().poses
         presses[press.name] = clipped_press(press, poses, indenters[press.indenter], renderer)
     return presses
 

@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from dotsim_ros.data.data_set import DataSet, DataSetEntry, read_data_set
 from dotsim_ros.data.presses import Prediction, Press
-from dotsim_ros.data.reading import press_of, read_observation
+from dotsim_ros.data.reading import MeasuredBag, PressReader
 from dotsim_ros.data.split import (
     hold_out_of_protocols,
 )
 from dotsim_ros.data.trajectory import (
     PoseChannel,
     SkinChannel,
+    Topics,
     Trajectory,
     WrenchChannel,
     write_trajectory,
@@ -100,9 +101,15 @@ def trajectory(*, seed: int = 0, **changes: Any) -> Trajectory:
     return Trajectory(**{**channels, **changes})
 
 
+def press_of(measured: Trajectory) -> Press:
+    """Return the press of what a bag holds."""
+    entry = DataSetEntry("ball_0", Path(), "ball", len(DEPTHS_M), has_images=False)
+    return MeasuredBag(entry, Topics(), measured, {}).press()
+
+
 def press(**changes: Any) -> Press:
     """Return the press of `trajectory`."""
-    return replace(press_of(trajectory(), name="ball_0", indenter="ball"), **changes)
+    return replace(press_of(trajectory()), **changes)
 
 
 def write_ball(path: Path) -> None:
@@ -163,7 +170,7 @@ def perfect(measured: Press) -> Prediction:
 
 def test_press_is_what_was_written(data_set: DataSet) -> None:
     entry = data_set.entries[0]
-    read = read_observation(data_set, entry, skin=SKIN, has_vertices=True).press
+    read = PressReader(data_set, SKIN, True).read(entry).press
     assert (read.name, read.indenter, read.frame_count) == ("ball_0", "ball", 4)
     assert read.stamp_s == pytest.approx([1.0, 1.1, 1.2, 1.3])
     assert read.force_n == pytest.approx(trajectory().wrench.force_n)  # type: ignore[union-attr]
@@ -176,7 +183,7 @@ def test_channels_stamped_otherwise_are_refused() -> None:
     assert wrench is not None
     late = WrenchChannel(wrench.stamp_ns + 1, wrench.force_n, wrench.torque_nm)
     with pytest.raises(ValueError, match="every stamp of the wrench is 1e-09 s after"):
-        press_of(trajectory(wrench=late), name="a", indenter="ball")
+        press_of(trajectory(wrench=late))
 
 
 def test_times_that_do_not_increase_are_named() -> None:

@@ -20,7 +20,7 @@ from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisat
 from dotsim_ros.calibration.loss import FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.loss import SKIN as SKIN_CHANNEL
 from dotsim_ros.calibration.parameters import chosen_parameters
-from dotsim_ros.calibration.stages import Task, Workers, task_key
+from dotsim_ros.calibration.stages import Task, Workers
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import Observation
 from dotsim_ros.data.recording import Phase, Recording
@@ -257,10 +257,8 @@ def fitted(task: Task) -> PressFit:
 def stage(folder: Path, pool: Pool, observation: Observation, **changes: Any) -> dict[str, Any]:
     given = {"sensor": SENSOR, "skin": SKIN, "problem": PROBLEM, **changes}
     problem: FitProblem = given["problem"]
-    point = problem.centre()
-    key = task_key(given["sensor"], given["skin"], observation, problem, point)
-    task = Task("start", observation, problem, point, None, 0, key)
-    return Workers(pool, folder).run([task], lambda _name: None)  # type: ignore[arg-type]
+    workers = Workers(pool, given["sensor"], given["skin"], folder)  # type: ignore[arg-type]
+    return dict(workers.run("start", [Task(observation, problem, problem.centre())]))
 
 
 def observation_of(indenter: Indenter, name: str = "press") -> Observation:

@@ -24,9 +24,8 @@ from dotsim_ros.data.measurement import read_measurement
 from dotsim_ros.data.plausibility import check_same_shape
 from dotsim_ros.data.reading import (
     BadBagError,
+    PressReader,
     read_bag,
-    read_observation,
-    read_observations,
     read_press_images,
 )
 from dotsim_ros.data.trajectory import (
@@ -196,7 +195,7 @@ def written(folder: Path, trajectory: Trajectory) -> DataSet:
 
 def read(data_set: DataSet, *, has_vertices: bool = True) -> None:
     (entry,) = data_set.entries
-    read_observation(data_set, entry, skin=SKIN, has_vertices=has_vertices)
+    PressReader(data_set, SKIN, has_vertices).read(entry)
 
 
 @pytest.fixture(scope="module")
@@ -217,7 +216,7 @@ def test_what_no_press_gives_is_refused(
 ) -> None:
     entry = refused.entries[list(REFUSED).index(what)]
     with pytest.raises(BadBagError, match=REFUSED[what][1]) as error:
-        read_observation(refused, entry, skin=SKIN, has_vertices=True)
+        PressReader(refused, SKIN, True).read(entry)
     assert "\n" not in str(error.value)
     answered(error.value, what=what)
 
@@ -250,7 +249,7 @@ def test_a_message_that_no_writer_takes_is_refused(
                 change(message)
             file.write(item.topic, item.log_time_ns, message)
     with pytest.raises(BadBagError, match=f"^press, {topic}, {reason}"):
-        read_observation(data_set, bad, skin=SKIN, has_vertices=True)
+        PressReader(data_set, SKIN, True).read(bad)
 
 
 def test_what_can_be_read_is_read_and_the_rest_is_named(tmp_path: Path) -> None:
@@ -261,7 +260,7 @@ def test_what_can_be_read_is_read_and_the_rest_is_named(tmp_path: Path) -> None:
         read_bag(entry, topics=wrong_topic, channels=("pose", "wrench"))
     lost = replace(entry, name="lost", indenter="spere")
     both = replace(data_set, entries=(entry, lost))
-    found, (omitted,) = read_observations(both, ["press", "lost"], skin=SKIN, has_vertices=True)
+    found, (omitted,) = PressReader(both, SKIN, True).read_all(["press", "lost"])
     assert [one.press.name for one in found] == ["press"]
     assert found[0].press.frame_count == len(STAMP_NS)
     assert omitted.name == "lost"
@@ -332,7 +331,7 @@ def test_what_sensors_have_passes(tmp_path: Path) -> None:
     ]
     data_set = write_data_set(tmp_path / "data", presses, skin=SKIN)
     names = [entry.name for entry in data_set.entries]
-    found, omitted = read_observations(data_set, names, skin=SKIN, has_vertices=True)
+    found, omitted = PressReader(data_set, SKIN, True).read_all(names)
     assert not omitted
     assert len(found) == len(FAULTS) + 4
 
