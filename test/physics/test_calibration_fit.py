@@ -103,7 +103,7 @@ def observed(
 
 def problem_of(names: tuple[str, ...] = NAMES, **changes: object) -> FitProblem:
     made = FitProblem(chosen_parameters(names), values_of(SENSOR), NOISE, POINTS)
-    return replace(made, **changes)  # type: ignore[arg-type]
+    return replace(made, **changes)
 
 
 def adjoint_gradient(observation: Observation, values: GelValues) -> dict[str, float]:
@@ -139,7 +139,7 @@ def adjoint_gradient(observation: Observation, values: GelValues) -> dict[str, f
     }
 
 
-def test_the_gradient_that_the_columns_give_is_the_adjoints() -> None:
+def test_the_gradient_that_the_columns_give_is_the_adjoints():
     # Off the truth, so that the gradient is no sum of noise.
     values = replace(TRUTH, youngs_modulus_pa=2.4e5, poisson_ratio=0.44, friction=0.35)
     # In small steps: of a long slide in one step the two solvers find the friction less alike.
@@ -163,7 +163,7 @@ def test_the_gradient_that_the_columns_give_is_the_adjoints() -> None:
         assert found[name] == pytest.approx(expected[name], rel=0.05)
 
 
-def test_the_skin_does_not_depend_on_youngs_modulus_and_the_force_is_proportional() -> None:
+def test_the_skin_does_not_depend_on_youngs_modulus_and_the_force_is_proportional():
     states = []
     for youngs_pa in (2.0e5, 5.0e5):
         specification = specification_with(SENSOR, replace(TRUTH, youngs_modulus_pa=youngs_pa))
@@ -181,7 +181,7 @@ def test_the_skin_does_not_depend_on_youngs_modulus_and_the_force_is_proportiona
     assert ratio == pytest.approx(2.5, rel=2e-3)
 
 
-def test_the_skin_alone_tells_nothing_of_youngs_modulus_and_the_force_a_few_percent() -> None:
+def test_the_skin_alone_tells_nothing_of_youngs_modulus_and_the_force_a_few_percent():
     problem = problem_of()
     here = coordinates(problem.parameters, TRUTH)
     press = linearise(simulator(), observed(0), problem, here)
@@ -193,7 +193,7 @@ def test_the_skin_alone_tells_nothing_of_youngs_modulus_and_the_force_a_few_perc
 
 
 @pytest.mark.parametrize("skin_loss", [POINTS, CHAMFER])
-def test_one_press_is_fitted_from_far_away(skin_loss: str) -> None:
+def test_one_press_is_fitted_from_far_away(skin_loss):
     problem = problem_of(skin_loss=skin_loss)
     observation = observed(2)
     start = linearise(simulator(), observation, problem, problem.centre())
@@ -209,7 +209,7 @@ def test_one_press_is_fitted_from_far_away(skin_loss: str) -> None:
 
 
 @pytest.mark.parametrize("beyond", [0.0, 0.3])
-def test_differences_at_a_bound_are_taken_where_the_model_answers(beyond: float) -> None:
+def test_differences_at_a_bound_are_taken_where_the_model_answers(beyond):
     (parameter,) = chosen_parameters(("nu",))
     start = replace(values_of(SENSOR), poisson_ratio=parameter.bounds[0])
     problem = FitProblem((parameter,), start, NOISE, POINTS)
@@ -255,7 +255,7 @@ def write_data_set(directory: Path, seeds: range, values: GelValues = TRUTH) -> 
     ball.export(directory / "indenters" / "ball.stl")
 
 
-def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path: Path) -> None:
+def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path):
     data, sensor, out = tmp_path / "data", tmp_path / "before.yaml", tmp_path / "fitted.yaml"
     write_data_set(data, range(3))
     write_sensor(sensor, SENSOR, "coarse")

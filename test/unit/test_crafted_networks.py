@@ -41,7 +41,7 @@ def contents(folder: Path) -> tuple[Card, Weights]:
 
 
 @pytest.fixture(scope="module")
-def shipped() -> dict[str, tuple[Card, Weights, bytes]]:
+def shipped():
     return {
         noun: (*contents(parameter_path(name)), (parameter_path(name) / GRAPH).read_bytes())
         for noun, name in SHIPPED.items()
@@ -65,9 +65,7 @@ def refusal(noun: str, folder: Path) -> str:
     return words
 
 
-def test_the_shipped_ones_are_taken_also_where_they_are_written_anew(
-    shipped: Any, tmp_path: Path
-) -> None:
+def test_the_shipped_ones_are_taken_also_where_they_are_written_anew(shipped, tmp_path):
     for noun, name in SHIPPED.items():
         opened(noun, parameter_path(name))
         (tmp_path / noun).mkdir()
@@ -98,9 +96,7 @@ CARDS: dict[str, tuple[str, str, Any]] = {
 
 @pytest.mark.fault("networks and cards", "a card of nonsense")
 @pytest.mark.parametrize("what", CARDS)
-def test_a_card_of_nonsense_is_refused(
-    shipped: Any, tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_a_card_of_nonsense_is_refused(shipped, tmp_path, what, answered):
     noun, entry, value = CARDS[what]
     card, weights, graph = shipped[noun]
     save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: json.dumps({**card, entry: value}, indent=2)})
@@ -113,9 +109,7 @@ TEXTS = {"no JSON": "{", "null": "null", "a list": "[1]", "3,000 brackets": "[" 
 
 @pytest.mark.fault("networks and cards", "a card that is none")
 @pytest.mark.parametrize("what", TEXTS)
-def test_a_card_that_is_none_is_refused(
-    shipped: Any, tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_a_card_that_is_none_is_refused(shipped, tmp_path, what, answered):
     _, weights, graph = shipped["network"]
     save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: TEXTS[what]})
     (tmp_path / GRAPH).write_bytes(graph)
@@ -154,9 +148,7 @@ STATISTICS = {
 
 @pytest.mark.fault("networks and cards", "weights of nonsense")
 @pytest.mark.parametrize("what", STATISTICS)
-def test_weights_of_nonsense_are_refused(
-    shipped: Any, tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_weights_of_nonsense_are_refused(shipped, tmp_path, what, answered):
     card, weights, graph = shipped["policy"]
     weights = dict(weights)
     STATISTICS[what](weights)
@@ -167,9 +159,7 @@ def test_weights_of_nonsense_are_refused(
 
 
 @pytest.mark.fault("networks and cards", "weights that promise more than the file holds")
-def test_weights_that_promise_more_than_the_file_holds_are_refused(
-    shipped: Any, tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_weights_that_promise_more_than_the_file_holds_are_refused(shipped, tmp_path, answered):
     header = json.dumps(
         {"a": {"dtype": "F32", "shape": [10**12], "data_offsets": [0, 4 * 10**12]}}
     ).encode()
@@ -181,9 +171,7 @@ def test_weights_that_promise_more_than_the_file_holds_are_refused(
 
 
 @pytest.mark.fault("networks and cards", "weights of a type that is none of NumPy's")
-def test_weights_of_a_type_that_is_none_of_numpys_are_refused(
-    shipped: Any, tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_weights_of_a_type_that_is_none_of_numpys_are_refused(shipped, tmp_path, answered):
     header = json.dumps({"a": {"dtype": "F8_E4M3", "shape": [2], "data_offsets": [0, 2]}}).encode()
     (tmp_path / WEIGHTS).write_bytes(len(header).to_bytes(8, "little") + header + bytes(2))
     (tmp_path / GRAPH).write_bytes(shipped["network"][2])
@@ -191,9 +179,7 @@ def test_weights_of_a_type_that_is_none_of_numpys_are_refused(
 
 
 @pytest.mark.fault("networks and cards", "a file of weights of 3 GB")
-def test_a_file_that_is_too_large_is_not_read(
-    shipped: Any, tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_a_file_that_is_too_large_is_not_read(shipped, tmp_path, answered):
     # A hole in the file: it takes no place.
     with (tmp_path / WEIGHTS).open("wb") as stream:
         stream.truncate(3_000_000_000)
@@ -230,9 +216,7 @@ GRAPHS: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
 
 @pytest.mark.fault("networks and cards", "a graph of nonsense")
 @pytest.mark.parametrize("what", GRAPHS)
-def test_a_graph_of_nonsense_is_refused(
-    shipped: Any, tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_a_graph_of_nonsense_is_refused(shipped, tmp_path, what, answered):
     noun, spoil = GRAPHS[what]
     write_with_graph(shipped, noun, tmp_path, spoil(shipped[noun][2]))
     words = refusal(noun, tmp_path)
@@ -242,9 +226,7 @@ def test_a_graph_of_nonsense_is_refused(
 
 
 @pytest.mark.fault("networks and cards", "a network's graph is another's")
-def test_a_graph_of_other_inputs_is_refused(
-    shipped: Any, tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_a_graph_of_other_inputs_is_refused(shipped, tmp_path, answered):
     card, weights, _ = shipped["network"]
     graph = shipped["network"][2]
     # The card is believed by its hashes: the sizes are checked against the graph.
@@ -263,9 +245,7 @@ IMAGES = {
 
 @pytest.mark.fault("networks and cards", "an idle image of nonsense")
 @pytest.mark.parametrize("what", IMAGES)
-def test_an_idle_image_of_nonsense_is_refused(
-    tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_an_idle_image_of_nonsense_is_refused(tmp_path, what, answered):
     import zlib
 
     content = IMAGES[what]

@@ -4,7 +4,6 @@
 """The command that a result says it was made by."""
 
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -12,9 +11,7 @@ from dotsim_ros.io.provenance import provenance
 
 
 @pytest.mark.parametrize("called_by", ["real", "link"])
-def test_an_installed_command_goes_by_its_name(
-    called_by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_installed_command_goes_by_its_name(called_by, tmp_path, monkeypatch):
     (tmp_path / "real").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "real")
     monkeypatch.setattr(sys, "executable", str(tmp_path / called_by / "python"))
@@ -26,8 +23,6 @@ def test_an_installed_command_goes_by_its_name(
     ("program", "command"),
     [("tools/canary.py", "tools/canary.py"), ("/home/me/studies/__main__.py", "-m studies")],
 )
-def test_a_script_goes_by_its_path_and_a_package_by_its_name(
-    program: str, command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_script_goes_by_its_path_and_a_package_by_its_name(program, command, monkeypatch):
     monkeypatch.setattr(sys, "argv", [program, "--seconds", "15"])
     assert provenance()["command"] == f"python {command} --seconds 15"
