@@ -406,9 +406,7 @@ def read_press_images(
     return read_bag(entry, topics=topics, channels=channels).footage(idle=idle, most=most)
 
 
-def starts_in_session(
-    data_set: DataSet, spans_s: Sequence[Span | None], topics: Topics = MEASURED_TOPICS
-) -> list[float]:
+def starts_in_session(data_set: DataSet, spans_s: Sequence[Span | None]) -> list[float]:
     """Return when each trajectory of a data set began, s after the first.
 
     The poses of one whose span is None, which was not read, are read alone.
@@ -417,7 +415,7 @@ def starts_in_session(
     for entry, span_s in zip(data_set.entries, spans_s, strict=True):
         if span_s is None:
             try:
-                pose = read_trajectory(entry.bag, topics=topics, channels=("pose",)).pose
+                pose = read_trajectory(entry.bag, channels=("pose",)).pose
                 span_s = None if pose is None else _span(pose.stamp_ns)
             except (FileNotFoundError, ValueError):
                 pass
