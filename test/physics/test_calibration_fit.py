@@ -8,12 +8,9 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
-import yaml
 from numpy.typing import NDArray
 
 from dotsim_ros.calibration.fitting import FitProblem, fit_press, linearise
@@ -21,15 +18,10 @@ from dotsim_ros.calibration.loss import CHAMFER, POINTS, LossNoise, force_deviat
 from dotsim_ros.calibration.parameters import chosen_parameters, coordinates
 from dotsim_ros.calibration.statistics import identifiability
 from dotsim_ros.cli.main import main
+from dotsim_ros.data.data_set_writer import write_data_set
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import Observation
-from dotsim_ros.data.trajectory import (
-    PoseChannel,
-    SkinChannel,
-    Trajectory,
-    WrenchChannel,
-    write_trajectory,
-)
+from dotsim_ros.data.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.gel.adjoint.backward import trajectory_gradient
 from dotsim_ros.gel.adjoint.gradient import LossGradient
 from dotsim_ros.gel.adjoint.recorder import Recorder
@@ -223,41 +215,23 @@ def test_differences_at_a_bound_are_taken_where_the_model_answers(beyond):
     assert ratio == pytest.approx(np.ones((1, 1)), rel=0.5)
 
 
-def write_data_set(directory: Path, seeds: range, values: GelValues = TRUTH) -> None:
-    records = []
-    for seed in seeds:
-        press = observed(seed, values).press
-        stamp_ns = np.round(1e9 * press.stamp_s).astype(np.int64)
-        assert press.skin_position_m is not None
-        assert press.force_n is not None
-        trajectory = Trajectory(
-            pose=PoseChannel(
-                stamp_ns,
-                np.stack([p.position_m for p in press.poses]),
-                np.stack([p.quaternion_xyzw for p in press.poses]),
-            ),
-            wrench=WrenchChannel(stamp_ns, press.force_n, np.zeros_like(press.force_n)),
-            skin=SkinChannel(stamp_ns, press.skin_position_m.astype(np.float32)),
-        )
-        write_trajectory(directory / "bags" / press.name, trajectory)
-        records.append({"bag": f"bags/{press.name}", "indenter": "ball", "frames": len(stamp_ns)})
-    records[-1]["indenter"] = "bell"
-    (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
-    np.savez(
-        directory / "skin_mesh.npz",
-        rest_position_m=SKIN_MESH.rest_position_m,
-        triangles=SKIN_MESH.triangles,
-        on_base=SKIN_MESH.on_base,
+def trajectory(press: Press) -> Trajectory:
+    stamp_ns = np.round(1e9 * press.stamp_s).astype(np.int64)
+    return Trajectory(
+        pose=PoseChannel.of(stamp_ns, press.poses),
+        wrench=WrenchChannel(stamp_ns, press.force_n, np.zeros_like(press.force_n)),
+        skin=SkinChannel(stamp_ns, press.skin_position_m.astype(np.float32)),
+        name=press.name,
     )
-    (directory / "indenters").mkdir()
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.004)
-    ball.apply_translation([0.0, 0.0, 0.004])
-    ball.export(directory / "indenters" / "ball.stl")
 
 
 def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path):
     data, sensor, out = tmp_path / "data", tmp_path / "before.yaml", tmp_path / "fitted.yaml"
-    write_data_set(data, range(3))
+    presses = [(trajectory(observed(seed).press), replace(BALL, name="ball")) for seed in range(3)]
+    write_data_set(data, presses, skin=SKIN_MESH, indenter_step_m=0.6e-3)
+    index = data / "dataset.yaml"
+    before, _, last = index.read_text().rpartition("indenter: ball")
+    index.write_text(f"{before}indenter: bell{last}")
     write_sensor(sensor, SENSOR, "coarse")
     command = ["calibrate", "--data", str(data), "--sensor", str(sensor), "--out", str(out)]
     command += ["--hold-out", "0", "--noise-skin-discretisation-m", "0"]

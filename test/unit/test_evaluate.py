@@ -6,16 +6,18 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
 from dotsim_ros.data.data_set import DataSet, DataSetEntry, read_data_set
+from dotsim_ros.data.data_set_writer import DataSetWriter
 from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.data.reading import MeasuredBag, PressReader
 from dotsim_ros.data.split import (
@@ -111,36 +113,17 @@ def press(**changes: Any) -> Press:
     return replace(press_of(trajectory()), **changes)
 
 
-def write_ball(path: Path) -> None:
-    """Write a closed mesh of the ball, tip at the origin."""
-    import trimesh
-
-    mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.004)
-    mesh.apply_translation([0.0, 0.0, 0.004])
-    path.parent.mkdir(parents=True, exist_ok=True)
-    mesh.export(path)
-
-
 def write_data_set(directory: Path) -> DataSet:
     """Write six presses of two indenters, which are the same ball."""
     names = [f"{indenter}_{k}" for indenter in ("ball", "other") for k in range(3)]
-    for number, name in enumerate(names):
-        write_trajectory(directory / "bags" / name, trajectory(seed=number))
-        write_ball(directory / "indenters" / f"{name[:-2]}.stl")
-    records = [{"bag": f"bags/{name}", "indenter": name[:-2], "frames": 4} for name in names]
-    (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
-    write_skin(directory, SKIN.rest_position_m)
+    return write_presses(directory, names, first_seed=0)
+
+
+def write_presses(directory: Path, names: Sequence[str], *, first_seed: int) -> DataSet:
+    writer = DataSetWriter(directory, SKIN, indenter_step_m=0.6e-3)
+    for seed, name in enumerate(names, first_seed):
+        writer.add(trajectory(seed=seed, name=name), replace(BALL, name=name[:-2]))
     return read_data_set(directory)
-
-
-def write_skin(directory: Path, position_m: FloatArray) -> None:
-    """Write the skin's mesh with vertices at (V, 3)."""
-    np.savez(
-        directory / "skin_mesh.npz",
-        rest_position_m=position_m,
-        triangles=SKIN.triangles,
-        on_base=SKIN.on_base,
-    )
 
 
 SAMPLES = 512
@@ -393,18 +376,17 @@ def test_the_study_judges_every_split(data_set, tmp_path, capsys):
     assert "|Taxim|" not in said
 
 
-def write_later(directory: Path, names: tuple[str, ...] = ("later_0", "later_1")) -> DataSet:
-    """Write presses of the ball that come without its mesh."""
-    for number, name in enumerate(names):
-        write_trajectory(directory / "bags" / name, trajectory(seed=10 + number))
-    records = [{"bag": f"bags/{name}", "indenter": "ball", "frames": 4} for name in names]
-    (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
-    write_skin(directory, SKIN.rest_position_m)
-    return read_data_set(directory)
+def write_later(directory: Path, *names: str) -> DataSet:
+    """Write presses that come without the mesh of the ball."""
+    written = write_presses(directory, names, first_seed=10)
+    shutil.rmtree(directory / "indenters")
+    index = directory / "dataset.yaml"
+    index.write_text(index.read_text().replace("indenter: later", "indenter: ball"))
+    return read_data_set(written.directory)
 
 
 def test_all_presses_are_fitted_on_and_all_later_ones_judged(data_set, tmp_path, monkeypatch):
-    write_later(tmp_path)
+    write_later(tmp_path, "later_0", "later_1")
     monkeypatch.setattr(taxim, "GENERATIONS", 1)
     monkeypatch.setattr(taxim, "POPULATION_FACTOR", 2)
     monkeypatch.setattr(press_metrics, "SAMPLE_COUNT", 128)
@@ -424,7 +406,7 @@ def test_all_presses_are_fitted_on_and_all_later_ones_judged(data_set, tmp_path,
 
 
 def test_a_press_is_not_judged_that_was_fitted_on(data_set, tmp_path):
-    later = write_later(tmp_path, ("later_0", "ball_1"))
+    later = write_later(tmp_path, "later_0", "ball_1")
     with pytest.raises(ValueError, match=r"ball_1 in both .*give the later ones other names"):
         read_with_later(data_set, later)
 
