@@ -158,7 +158,7 @@ def calibrate(
                 solve_budget=solves,
                 indenters=None if indenters is None else Path(indenters),
             ),
-            progress or _silent,
+            progress or (lambda _stage, _done, _total: None),
         )
     named = name or (specification.name if out is None else out.stem)
     calibration = replace(calibration, specification=calibration.named(named))
@@ -239,7 +239,3 @@ def _losses(data_set: DataSet, losses: Sequence[str] | None) -> tuple[str, ...]:
             f"losses are {', '.join(losses) or 'none'}, expected of {', '.join(LOSSES)}"
         )
     return tuple(losses)
-
-
-def _silent(_stage: str, _done: int, _total: int) -> None:
-    """Show nothing."""
