@@ -55,6 +55,12 @@ def opened(noun: str, folder: Path) -> Any:
     return CompletionNetwork(folder, sensor="sensor_a", camera=camera)
 
 
+def write(folder: Path, weights: Weights, card: Card | str, graph: bytes) -> None:
+    text = card if isinstance(card, str) else json.dumps(card, indent=2)
+    save_file(weights, folder / WEIGHTS, {CARD_KEY: text})
+    (folder / GRAPH).write_bytes(graph)
+
+
 def refusal(noun: str, folder: Path) -> str:
     with pytest.raises(ValueError, match=r"again|expected") as caught:
         opened(noun, folder)
@@ -99,8 +105,7 @@ CARDS: dict[str, tuple[str, str, Any]] = {
 def test_a_card_of_nonsense_is_refused(shipped, tmp_path, what, answered):
     noun, entry, value = CARDS[what]
     card, weights, graph = shipped[noun]
-    save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: json.dumps({**card, entry: value}, indent=2)})
-    (tmp_path / GRAPH).write_bytes(graph)
+    write(tmp_path, weights, {**card, entry: value}, graph)
     answered(refusal(noun, tmp_path), what=what)
 
 
@@ -111,8 +116,7 @@ TEXTS = {"no JSON": "{", "null": "null", "a list": "[1]", "3,000 brackets": "[" 
 @pytest.mark.parametrize("what", TEXTS)
 def test_a_card_that_is_none_is_refused(shipped, tmp_path, what, answered):
     _, weights, graph = shipped["network"]
-    save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: TEXTS[what]})
-    (tmp_path / GRAPH).write_bytes(graph)
+    write(tmp_path, weights, TEXTS[what], graph)
     answered(refusal("network", tmp_path), what=f"the card in a network's weights is {what}")
 
 
@@ -152,9 +156,7 @@ def test_weights_of_nonsense_are_refused(shipped, tmp_path, what, answered):
     card, weights, graph = shipped["policy"]
     weights = dict(weights)
     STATISTICS[what](weights)
-    card = {**card, "weights_sha256": weights_hash(weights)}
-    save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: json.dumps(card, indent=2)})
-    (tmp_path / GRAPH).write_bytes(graph)
+    write(tmp_path, weights, {**card, "weights_sha256": weights_hash(weights)}, graph)
     answered(refusal("policy", tmp_path), what=f"a policy: {what}")
 
 
@@ -192,8 +194,7 @@ def write_with_graph(shipped: Any, noun: str, folder: Path, graph: bytes) -> Non
     card, weights, _ = shipped[noun]
     card = {**card, "graph_sha256": hashlib.sha256(graph).hexdigest()}
     card["weights_sha256"] = weights_hash(weights)
-    save_file(weights, folder / WEIGHTS, {CARD_KEY: json.dumps(card, indent=2)})
-    (folder / GRAPH).write_bytes(graph)
+    write(folder, weights, card, graph)
 
 
 def renamed_weights(graph: bytes) -> bytes:
@@ -227,12 +228,9 @@ def test_a_graph_of_nonsense_is_refused(shipped, tmp_path, what, answered):
 
 @pytest.mark.fault("networks and cards", "a network's graph is another's")
 def test_a_graph_of_other_inputs_is_refused(shipped, tmp_path, answered):
-    card, weights, _ = shipped["network"]
-    graph = shipped["network"][2]
+    card, weights, graph = shipped["network"]
     # The card is believed by its hashes: the sizes are checked against the graph.
-    card = {**card, "width": 160, "height": 120}
-    save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: json.dumps(card, indent=2)})
-    (tmp_path / GRAPH).write_bytes(graph)
+    write(tmp_path, weights, {**card, "width": 160, "height": 120}, graph)
     answered(refusal("network", tmp_path))
 
 
