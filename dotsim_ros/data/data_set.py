@@ -25,7 +25,7 @@ from dotsim_ros.geometry.indenter import Indenter, is_definition, load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, skin_of_triangles
 from dotsim_ros.io.documents import ArrayForm, read_arrays, read_yaml, value_text
 from dotsim_ros.io.files import expanded
-from dotsim_ros.io.printable import did_you_mean
+from dotsim_ros.io.printable import did_you_mean, placed
 from dotsim_ros.specification import LARGEST_LENGTH_M
 
 INDEX = "dataset.yaml"
@@ -116,10 +116,8 @@ class DataSet:
                 f"{SMALLEST_SKIN_M} to {LARGEST_LENGTH_M} m; if these are millimetres, multiply by "
                 "0.001"
             )
-        try:
+        with placed(path):
             return replace(skin_of_triangles(position, arrays["triangles"]), on_base=on_base)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
 
     def named(self, names: Sequence[str]) -> tuple[DataSetEntry, ...]:
         """Return the trajectories of some names, in their order.
