@@ -13,9 +13,9 @@ from random import Random
 import numpy as np
 import yaml
 
-from dotsim_ros.data.data_set import INDEX, DataSet, DataSetEntry, read_data_set
+from dotsim_ros.data.data_set import INDEX, read_data_set
 from dotsim_ros.data.data_set_writer import write_data_set
-from dotsim_ros.data.reading import Observation, read_observation
+from dotsim_ros.data.reading import PressReader
 from dotsim_ros.data.trajectory import (
     ImageChannel,
     PoseChannel,
@@ -106,12 +106,8 @@ def _read(written: _Written, folder: Path) -> Trajectory | None:
     names = ["press", bag.name]
     trajectory = answer(partial(read_trajectory, bag), names)
     data_set = read_data_set(folder)
-    answer(partial(_observe, data_set, data_set.entries[0]), names)
+    answer(partial(PressReader(data_set, SKIN, False).read, data_set.entries[0]), names)
     return trajectory
-
-
-def _observe(data_set: DataSet, entry: DataSetEntry) -> Observation:
-    return read_observation(data_set, entry, skin=SKIN, has_vertices=False)
 
 
 def _compare(read: Trajectory, written: Trajectory) -> None:
@@ -135,7 +131,7 @@ def _attempt_index(written: _Written, random: Random, folder: Path) -> None:
     if data_set is None:
         return
     for entry in data_set.entries:
-        answer(partial(_observe, data_set, entry), [entry.name])
+        answer(partial(PressReader(data_set, SKIN, False).read, entry), [entry.name])
 
 
 TARGETS = (

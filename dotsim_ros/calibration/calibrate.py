@@ -28,7 +28,7 @@ from dotsim_ros.calibration.run import (
     run_calibration,
 )
 from dotsim_ros.data.data_set import DataSet, read_data_set
-from dotsim_ros.data.split import HELD_OUT_COUNT, hold_out_of_protocols
+from dotsim_ros.data.split import split_of
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
 from dotsim_ros.io.cores import single_threaded
 from dotsim_ros.io.files import check_output_file, check_output_folder
@@ -122,7 +122,14 @@ def calibrate(
     specification = given_sensor(sensor)
     if indenters is not None and not Path(indenters).is_dir():
         raise FileNotFoundError(f"there is no folder {indenters}, expected one of meshes, NAME.stl")
-    train, held_out = _split(data_set, trajectories, hold_out, leave_out, seed)
+    if leave_out is not None and hold_out is not None:
+        raise ValueError("either hold out trajectories or leave out an indenter, not both")
+    train, held_out = split_of(
+        data_set.entries if trajectories is None else data_set.named(trajectories),
+        leave_out=() if leave_out is None else (leave_out,),
+        hold_out=hold_out,
+        seed=seed,
+    )
     used = _losses(data_set, losses)
     if out is not None:
         check_output_file(out)
@@ -151,7 +158,7 @@ def calibrate(
                 solve_budget=solves,
                 indenters=None if indenters is None else Path(indenters),
             ),
-            progress or _silent,
+            progress or (lambda _stage, _done, _total: None),
         )
     named = name or (specification.name if out is None else out.stem)
     calibration = replace(calibration, specification=calibration.named(named))
@@ -218,37 +225,6 @@ def _check_at_least(least: int, **counts: int) -> None:
             raise ValueError(f"{name} is {count}, expected {least} or more")
 
 
-def _split(
-    data_set: DataSet,
-    trajectories: Sequence[str] | None,
-    hold_out: int | None,
-    leave_out: str | None,
-    seed: int,
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the trajectories to fit on and to judge on.
-
-    Raises:
-        ValueError: an unknown trajectory, or nothing left to fit on or to judge on.
-    """
-    indenter_of = {entry.name: entry.indenter for entry in data_set.entries}
-    names = sorted(indenter_of if trajectories is None else trajectories)
-    data_set.named(names)
-    if leave_out is not None:
-        if hold_out is not None:
-            raise ValueError("either hold out trajectories or leave out an indenter, not both")
-        train = tuple(n for n in names if indenter_of[n] != leave_out)
-        held_out = tuple(n for n in names if indenter_of[n] == leave_out)
-        if not train or not held_out:
-            raise ValueError(
-                f"to leave out {leave_out} leaves {len(train)} trajectories to fit on and "
-                f"{len(held_out)} to judge on; indenters are {sorted(set(indenter_of.values()))}"
-            )
-        return train, held_out
-    if hold_out is None:
-        hold_out = HELD_OUT_COUNT if len(names) > HELD_OUT_COUNT else 0
-    return hold_out_of_protocols(names, hold_out, seed) if hold_out else (tuple(names), ())
-
-
 def _losses(data_set: DataSet, losses: Sequence[str] | None) -> tuple[str, ...]:
     """Return the losses to use.
 
@@ -263,7 +239,3 @@ def _losses(data_set: DataSet, losses: Sequence[str] | None) -> tuple[str, ...]:
             f"losses are {', '.join(losses) or 'none'}, expected of {', '.join(LOSSES)}"
         )
     return tuple(losses)
-
-
-def _silent(_stage: str, _done: int, _total: int) -> None:
-    """Show nothing."""

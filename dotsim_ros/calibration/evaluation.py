@@ -16,13 +16,13 @@ import numpy as np
 
 from dotsim_ros.calibration.fitting import FitProblem
 from dotsim_ros.calibration.loss import POINTS, LossNoise
-from dotsim_ros.calibration.run import Progress, measured_skin
+from dotsim_ros.calibration.run import Progress
 from dotsim_ros.calibration.stages import open_workers
 from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.data.reading import (
     Omission,
-    read_observations,
+    PressReader,
     read_press_images,
     summarize_reasons,
 )
@@ -168,15 +168,11 @@ def evaluate_twin(
     data_set = data if isinstance(data, DataSet) else read_data_set(data)
     twin = given_sensor(sensor)
     entries = data_set.entries if trajectories is None else data_set.named(trajectories)
-    skin, has_vertices = measured_skin(data_set, twin)
-    observations, unread = read_observations(
-        data_set,
-        [entry.name for entry in entries],
-        skin=skin,
-        has_vertices=has_vertices,
-        topics=topics,
-        indenters=indenters,
+    reader = PressReader.of(
+        data_set, skin_of(twin.gel), sensor=twin.name, topics=topics, indenters=indenters
     )
+    skin, has_vertices = reader.skin, reader.has_vertices
+    observations, unread = reader.read_all([entry.name for entry in entries])
     omissions = [replace(o, reason=f"skin and force of {o.reason}") for o in unread]
     if not has_vertices and any(o.press.skin_position_m is not None for o in observations):
         why = f"skin: {data_set.directory} has no skin_mesh.npz, so its points are no vertices"

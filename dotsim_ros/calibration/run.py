@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from time import monotonic
 
@@ -17,7 +16,7 @@ from dotsim_ros.calibration.advice import shown_modulus_pa, why_not_identified
 from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
 from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.parameters import chosen_parameters, with_coordinates
-from dotsim_ros.calibration.stages import Task, Workers, open_workers, task_key
+from dotsim_ros.calibration.stages import Outcome, Task, Workers, open_workers
 from dotsim_ros.calibration.statistics import (
     Combination,
     Identifiability,
@@ -28,8 +27,8 @@ from dotsim_ros.calibration.statistics import (
     offset_step,
 )
 from dotsim_ros.data.data_set import DataSet
-from dotsim_ros.data.plausibility import HARDEST_PA, SOFTEST_PA, check_same_shape
-from dotsim_ros.data.reading import Observation, Omission, read_observations, summarize_reasons
+from dotsim_ros.data.plausibility import HARDEST_PA, SOFTEST_PA
+from dotsim_ros.data.reading import Observation, Omission, PressReader, summarize_reasons
 from dotsim_ros.data.trajectory import Topics
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import GelValues, specification_with, values_of
@@ -132,20 +131,6 @@ Progress = Callable[[str, int, int], None]
 """Told the stage, how many presses of it are done, and of how many."""
 
 
-def measured_skin(data_set: DataSet, sensor: SensorSpecification) -> tuple[SkinMesh, bool]:
-    """Return the skin to simulate, and whether the bags' clouds list its vertices.
-
-    Raises:
-        ValueError: the data set's skin is no mesh, or not that of the sensor.
-    """
-    own = skin_of(sensor.gel)
-    if not data_set.has_skin_mesh:
-        return own, False
-    skin = data_set.skin_mesh()
-    check_same_shape(skin, own, data=str(data_set.directory), sensor=sensor.name)
-    return skin, True
-
-
 def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibration:
     """Fit the gel to the data.
 
@@ -153,25 +138,22 @@ def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibrat
         ValueError: nothing to fit, no usable trajectory, or losses that the data do not have.
     """
     r = request
-    skin, has_vertices = measured_skin(r.data_set, r.sensor)
-    if POINTS in r.losses and not has_vertices:
+    reader = PressReader.of(
+        r.data_set,
+        skin_of(r.sensor.gel),
+        sensor=r.sensor.name,
+        topics=r.topics,
+        indenters=r.indenters,
+    )
+    if POINTS in r.losses and not reader.has_vertices:
         raise ValueError(
             f"{r.data_set.directory} has no skin_mesh.npz, so its points do not correspond to "
             "vertices; use the loss chamfer"
         )
-    read = partial(
-        read_observations,
-        r.data_set,
-        skin=skin,
-        has_vertices=has_vertices,
-        topics=r.topics,
-        indenters=r.indenters,
-    )
-    observations, omissions = read(r.train)
-    judged, unjudged = read(r.held_out)
+    found, omissions = reader.read_all(r.train)
+    judged, unjudged = reader.read_all(r.held_out)
     omissions += unjudged
-    observations = [_with_losses(observation, r.losses) for observation in observations]
-    observations = _touching(observations, skin, omissions)
+    observations = _touching([_with_losses(o, r.losses) for o in found], reader.skin, omissions)
     if not observations:
         raise ValueError(
             f"no trajectory of {r.data_set.directory} can be fitted: "
@@ -184,21 +166,15 @@ def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibrat
         CHAMFER if CHAMFER in r.losses else POINTS,
         r.with_offset,
     )
-    _prepare_tables(r.sensor, skin, asked, progress)
-    with open_workers(r.sensor, skin, r.directory, r.workers) as workers:
-        stages = _Stages(r, skin, workers, progress, omissions)
-        return _calibrated(stages, asked, observations, judged, has_vertices)
+    _prepare_tables(r.sensor, reader.skin, asked, progress)
+    with open_workers(r.sensor, reader.skin, r.directory, r.workers) as workers:
+        stages = _Stages(r, observations, workers, progress, omissions)
+        return _calibrated(stages, asked, judged if reader.has_vertices else [])
 
 
-def _calibrated(
-    stages: _Stages,
-    asked: FitProblem,
-    observations: list[Observation],
-    judged: list[Observation],
-    has_vertices: bool,
-) -> Calibration:
+def _calibrated(stages: _Stages, asked: FitProblem, judged: list[Observation]) -> Calibration:
     begun, request = monotonic(), stages.request
-    first = stages.linearised("start", asked, observations, {})
+    first = stages.linearised("start", asked, dict.fromkeys(stages.observations, asked.centre()))
     shown_pa = shown_modulus_pa(asked, list(first.values()))
     if shown_pa is not None:
         check_modulus(shown_pa, "the forces are those of")
@@ -209,8 +185,8 @@ def _calibrated(
     reasons = why_not_identified(
         asked,
         frozen,
-        observations,
-        stages.skin,
+        list(stages.observations.values()),
+        stages.workers.skin,
         losses=request.losses,
         topics=request.topics,
         shown_pa=shown_pa,
@@ -222,13 +198,12 @@ def _calibrated(
         )
     problem = replace(asked, parameters=tuple(asked.parameters[k] for k in kept))
     first = {name: _restricted(asked, kept, lin) for name, lin in first.items()}
-    fits = stages.fitted("single", problem, observations, first)
+    fits = stages.fitted("single", problem, first)
     median = median_estimate(problem, list(fits.values()), seed=request.seed)
     points = {name: _joined(problem, median.point, fits[name].best) for name in fits}
-    joint_observations = [o for o in observations if o.press.name in fits]
     at = {name: fit.best for name, fit in fits.items()}
     for number in range(request.joint_steps):
-        at = stages.linearised(f"joint_{number}", problem, joint_observations, points)
+        at = stages.linearised(f"joint_{number}", problem, points)
         step = joint_step(problem, list(at.values()))
         points = {
             name: lin.point + np.concatenate([step, offset_step(problem, lin, step)])
@@ -239,7 +214,7 @@ def _calibrated(
     if "E" in everything:
         check_modulus(values.youngs_modulus_pa, "the fit ends at")
     fit_seconds = monotonic() - begun
-    scores = stages.judged(problem, joint.point, judged) if has_vertices else []
+    scores = stages.judged(problem, joint.point, judged)
     return Calibration(
         problem=problem,
         asked=tuple(p.name for p in asked.parameters),
@@ -299,6 +274,9 @@ class _Stages:
     """Runs the stages of a request, each over all presses.
 
     Attributes:
+        request: what is calibrated.
+        observations: the presses to fit to, by name.
+        workers: who solve.
         solve_counts: solves of each press so far.
         omissions: what was left out so far, and why.
     """
@@ -306,74 +284,63 @@ class _Stages:
     def __init__(
         self,
         request: CalibrationRequest,
-        skin: SkinMesh,
+        observations: Sequence[Observation],
         workers: Workers,
         progress: Progress,
         omissions: list[Omission],
     ) -> None:
-        self.request, self.skin, self.omissions = request, skin, omissions
-        self.solve_counts: dict[str, int] = {}
-        self._workers, self._progress = workers, progress
+        self.request, self.workers, self.omissions = request, workers, omissions
+        self.observations = {o.press.name: o for o in observations}
+        self.solve_counts = dict.fromkeys(self.observations, 0)
+        self._progress = progress
 
     def linearised(
-        self,
-        stage: str,
-        problem: FitProblem,
-        observations: Sequence[Observation],
-        points: dict[str, FloatArray],
+        self, stage: str, problem: FitProblem, points: Mapping[str, FloatArray]
     ) -> dict[str, PressLinearisation]:
-        """Return the linearisations at points (n,), by default the priors' centres."""
-        tasks = []
-        for observation in observations:
-            name = observation.press.name
-            if points and name not in points:
-                continue
-            point = points.get(name, problem.centre())
-            key = task_key(self.request.sensor, self.skin, observation, problem, point)
-            tasks.append(Task(stage, observation, problem, point, None, 0, key))
+        """Return the linearisations of presses at their points (n,)."""
+        tasks = [Task(self.observations[name], problem, point) for name, point in points.items()]
         return {name: fit.best for name, fit in self._run(stage, tasks).items()}
 
     def fitted(
-        self,
-        stage: str,
-        problem: FitProblem,
-        observations: Sequence[Observation],
-        starts: dict[str, PressLinearisation],
+        self, stage: str, problem: FitProblem, starts: Mapping[str, PressLinearisation]
     ) -> dict[str, PressFit]:
         """Return the fits of single presses."""
-        request, tasks = self.request, []
-        for observation in observations:
-            name = observation.press.name
-            if name not in starts:
-                continue
-            start = starts[name]
-            budget = request.solve_budget - self.solve_counts[name]
-            budget -= request.joint_steps * (1 + problem.size)
-            content = (request.sensor, self.skin, observation, problem, start.point)
-            key = task_key(*content, np.array(budget))
-            tasks.append(Task(stage, observation, problem, start.point, start, budget, key))
+        most = self.request.solve_budget - self.request.joint_steps * (1 + problem.size)
+        tasks = [
+            Task(
+                self.observations[name], problem, start.point, start, most - self.solve_counts[name]
+            )
+            for name, start in starts.items()
+        ]
         return self._run(stage, tasks)
 
     def judged(
         self, problem: FitProblem, point: FloatArray, observations: Sequence[Observation]
     ) -> list[PressFrameScore]:
         """Return the scores of held-out presses at the shared parameters' point (P,)."""
+        if not observations:
+            return []
         scores: list[PressFrameScore] = []
-        count = self._counter("held out", len(observations))
-        for o, found in self._workers.predict(problem, point, observations):
-            count(o.press.name)
+        self._progress("held out", 0, len(observations))
+        predicted = self.workers.predict(problem, point, observations)
+        for number, (o, found) in enumerate(predicted, 1):
+            self._progress("held out", number, len(observations))
             if isinstance(found, str):
                 self.omissions.append(Omission(o.press.name, f"held out: {found}"))
             elif o.press.skin_position_m is not None:
-                seed = self.request.seed
-                scores += score_press(o.press, found, o.indenter, self.skin, seed=seed)
+                scores += score_press(
+                    o.press, found, o.indenter, self.workers.skin, seed=self.request.seed
+                )
         return scores
 
     def _run(self, stage: str, tasks: Sequence[Task]) -> dict[str, PressFit]:
-        outcomes = self._workers.run(tasks, self._counter(stage, len(tasks)))
+        outcomes: dict[str, Outcome] = {}
+        self._progress(stage, 0, len(tasks))
+        for name, outcome in self.workers.run(stage, tasks):
+            outcomes[name] = outcome
+            self._progress(stage, len(outcomes), len(tasks))
         found = {}
-        for task in tasks:
-            name = task.observation.press.name
+        for name in (task.name for task in tasks):
             outcome = outcomes[name]
             if isinstance(outcome, str):
                 reason = (
@@ -382,7 +349,7 @@ class _Stages:
                 )
                 self.omissions.append(Omission(name, reason))
                 continue
-            self.solve_counts[name] = self.solve_counts.get(name, 0) + outcome.solve_count
+            self.solve_counts[name] += outcome.solve_count
             found[name] = outcome
         if not found:
             raise ValueError(
@@ -390,17 +357,6 @@ class _Stages:
                 f"{summarize_reasons([omission.reason for omission in self.omissions])}"
             )
         return found
-
-    def _counter(self, stage: str, total: int) -> Callable[[str], None]:
-        done = 0
-        self._progress(stage, 0, total)
-
-        def count(_name: str) -> None:
-            nonlocal done
-            done += 1
-            self._progress(stage, done, total)
-
-        return count
 
 
 def _touching(

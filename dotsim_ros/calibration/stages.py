@@ -10,8 +10,8 @@ depends on.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, Future, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -45,22 +45,23 @@ class Task:
     """A piece of work on one press.
 
     Attributes:
-        stage: its name, a folder of the run.
         observation: the press.
         problem: what is fitted.
         point: (n,) unknowns to linearise at.
-        start: where to fit the press alone from; None only linearises at the point.
+        start: where to fit the press alone from, at the point; None only linearises there.
         budget: most solves of a fit.
-        key: of all that the result depends on.
     """
 
-    stage: str
     observation: Observation
     problem: FitProblem
     point: FloatArray
-    start: PressLinearisation | None
-    budget: int
-    key: str
+    start: PressLinearisation | None = None
+    budget: int = 0
+
+    @property
+    def name(self) -> str:
+        """Name of the press."""
+        return self.observation.press.name
 
 
 Outcome = PressFit | str
@@ -95,86 +96,59 @@ def _predict(task: Task) -> Prediction | str:
     return Prediction(found.skin_position_m, found.force_n)
 
 
+@dataclass(frozen=True)
 class Workers:
-    """A pool of workers that each hold the sensor's gel; use `open_workers`."""
+    """A pool of workers that each hold the sensor's gel; by `open_workers`."""
 
-    def __init__(self, pool: Executor, directory: Path) -> None:
-        self._pool, self._directory = pool, directory
+    pool: Executor
+    sensor: SensorSpecification
+    skin: SkinMesh
+    directory: Path
 
-    def run(self, tasks: Sequence[Task], progress: Callable[[str], None]) -> dict[str, Outcome]:
-        """Return the outcomes of one stage by press, from files where a run before has left them.
-
-        `progress` is called with the name of each press as it is finished.
-        """
-        outcomes: dict[str, Outcome] = {}
-        waiting: dict[Future[Outcome], Task] = {}
+    def run(self, stage: str, tasks: Sequence[Task]) -> Iterator[tuple[str, Outcome]]:
+        """Yield the outcome of each task of a stage with its press as it is done, from the file
+        that a run before has left where there is one."""
+        waiting: dict[Future[Outcome], tuple[Task, Path, str]] = {}
         for task in tasks:
-            stored = _load(self._file(task), task)
+            path = self.directory / stage / f"{short_name(task.name)}.json"
+            key = self._key(task)
+            stored = _load(path, task, key)
             if stored is None:
-                waiting[self._pool.submit(_work, task)] = task
+                waiting[self.pool.submit(_work, task)] = task, path, key
             else:
-                outcomes[task.observation.press.name] = stored
-                progress(task.observation.press.name)
-        while waiting:
-            done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in done:
-                task = waiting.pop(future)
-                name = task.observation.press.name
-                outcomes[name] = future.result()
-                _store(self._file(task), task, outcomes[name])
-                progress(name)
-        return outcomes
+                yield task.name, stored
+        for future in as_completed(waiting):
+            task, path, key = waiting.pop(future)
+            _store(path, task, key, future.result())
+            yield task.name, future.result()
 
     def predict(
-        self,
-        problem: FitProblem,
-        point: FloatArray,
-        observations: Sequence[Observation],
+        self, problem: FitProblem, point: FloatArray, observations: Sequence[Observation]
     ) -> Iterator[tuple[Observation, Prediction | str]]:
         """Yield each press with what the gel gives for it at the shared point (P,), or with why it
         could not be solved."""
         shared = replace(problem, with_offset=False)
-        tasks = [Task("judge", o, shared, point, None, 0, "") for o in observations]
-        found = self._pool.map(_predict, tasks)
+        found = self.pool.map(_predict, [Task(o, shared, point) for o in observations])
         yield from zip(observations, found, strict=True)
 
-    def _file(self, task: Task) -> Path:
-        return self._directory / task.stage / f"{short_name(task.observation.press.name)}.json"
+    def _key(self, task: Task) -> str:
+        """Return a key of all that an outcome depends on."""
+        return content_key(
+            (*PHYSICS, "calibration"), self.sensor, self.skin, replace(task, start=None)
+        )
 
 
 @contextmanager
 def open_workers(
-    specification: SensorSpecification, skin: SkinMesh, directory: Path, crew: Crew
+    sensor: SensorSpecification, skin: SkinMesh, directory: Path, crew: Crew
 ) -> Iterator[Workers]:
     """Open a pool of workers; their files go below a directory."""
-    with open_pool(crew, _begin, specification, skin) as pool:
-        yield Workers(pool, directory)
+    with open_pool(crew, _begin, sensor, skin) as pool:
+        yield Workers(pool, sensor, skin, directory)
 
 
-def task_key(
-    specification: SensorSpecification,
-    skin: SkinMesh,
-    observation: Observation,
-    problem: FitProblem,
-    *arrays: FloatArray,
-) -> str:
-    """Return a key of all that a result depends on."""
-    return content_key(
-        (*PHYSICS, "calibration"),
-        specification,
-        [parameter.name for parameter in problem.parameters],
-        problem.start,
-        problem.noise,
-        problem.skin_loss,
-        problem.with_offset,
-        skin,
-        observation,
-        arrays,
-    )
-
-
-def _store(path: Path, task: Task, outcome: Outcome) -> None:
-    record: dict[str, Any] = {"key": task.key, "name": task.observation.press.name}
+def _store(path: Path, task: Task, key: str, outcome: Outcome) -> None:
+    record: dict[str, Any] = {"key": key, "name": task.name}
     if isinstance(outcome, str):
         record["error"] = outcome
     else:
@@ -183,7 +157,7 @@ def _store(path: Path, task: Task, outcome: Outcome) -> None:
     write_json(path, record)
 
 
-def _load(path: Path, task: Task) -> Outcome | None:
+def _load(path: Path, task: Task, key: str) -> Outcome | None:
     """Return a stored outcome; None if there is none of this task that can be read."""
     try:
         record = read_json(path)
@@ -195,7 +169,7 @@ def _load(path: Path, task: Task) -> Outcome | None:
     if not isinstance(record, dict) or "key" not in record:
         tell_broken(path, "it holds no result of a press")
         return None
-    if record["key"] != task.key:
+    if record["key"] != key:
         return None
     try:
         if "fit" not in record:

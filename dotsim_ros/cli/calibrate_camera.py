@@ -24,21 +24,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from dotsim_ros.cli._options import Judged, Whole, say, topics_of
-from dotsim_ros.cli._split import filmed_split
 
 if TYPE_CHECKING:
     from dotsim_ros.io.arrays import ImageArray
     from dotsim_ros.specification import SensorSpecification
     from dotsim_ros.twin.footage import FilmedData
 
-HELD_OUT_COUNT = 9
 MARK = "camera: "
 """Begins the lines of a sensor's file that describe this fit."""
-
-
-def usual_hold_out(count: int) -> int:
-    """Return on how many of so many trajectories a camera is judged."""
-    return HELD_OUT_COUNT if count > HELD_OUT_COUNT else 0
 
 
 def run(
@@ -93,6 +86,7 @@ def run(
     from dotsim_ros.calibration.camera.score import score_frames
     from dotsim_ros.calibration.idle_files import idle_image_of
     from dotsim_ros.data.data_set import read_data_set
+    from dotsim_ros.data.split import split_of
     from dotsim_ros.geometry.camera import Camera
     from dotsim_ros.io.files import write_image, write_json
     from dotsim_ros.io.provenance import provenance
@@ -104,13 +98,8 @@ def run(
     data_set = read_data_set(data)
     specification, start_from = load_sensor(sensor), load_sensor(stated)
     check_stated(stated, start_from, specification)
-    train, held_out = filmed_split(
-        data,
-        trajectories=trajectories,
-        leave_out=leave_out,
-        hold_out=hold_out,
-        usual=usual_hold_out,
-        seed=seed,
+    train, held_out = split_of(
+        data_set.filmed(trajectories), leave_out=leave_out, hold_out=hold_out, seed=seed
     )
     topics = topics_of(image=image_topic, pose=pose_topic)
     filmed = read_filmed_data(

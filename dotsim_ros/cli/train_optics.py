@@ -24,10 +24,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from dotsim_ros.cli._options import Judged, Whole, redraw, say
-from dotsim_ros.cli._split import filmed_split
 from dotsim_ros.io.progress import bar
 
-HELD_OUT_COUNT = 9
 Network = Literal["ours", "paper", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet"]
 
 if TYPE_CHECKING:
@@ -36,6 +34,8 @@ if TYPE_CHECKING:
 
 def usual_hold_out(count: int) -> int:
     """Return on how many of so many trajectories a network is judged."""
+    from dotsim_ros.data.split import HELD_OUT_COUNT
+
     return HELD_OUT_COUNT if count > 2 * HELD_OUT_COUNT else count // 3
 
 
@@ -80,18 +80,19 @@ def run(
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
         ) from error
+    from dotsim_ros.data.data_set import read_data_set
+    from dotsim_ros.data.split import split_of
     from dotsim_ros.io.files import write_json
     from dotsim_ros.specification import load_sensor, read_comment, sensor_path
 
     sensor_file = sensor_out or out / SENSOR
     if sensor_file.suffix not in (".yaml", ".yml"):
         raise ValueError(f"--sensor-out is {sensor_file}, expected a file that ends in .yaml")
-    train, held_out = filmed_split(
-        data,
-        trajectories=trajectories,
+    filmed = read_data_set(data).filmed(trajectories)
+    train, held_out = split_of(
+        filmed,
         leave_out=leave_out,
-        hold_out=hold_out,
-        usual=usual_hold_out,
+        hold_out=usual_hold_out(len(filmed)) if hold_out is None else hold_out,
         seed=split_seed,
     )
     report = train_optics(

@@ -425,22 +425,13 @@ class BagReader:
         connections = [c for c in reader.connections if c.topic in topics]
         if not connections:
             return
-        stream = reader.messages(connections)
-        while True:
-            try:
-                connection, log_time_ns, serialized = next(stream)
-            except StopIteration:
-                return
-            except Exception as error:
-                words = " ".join(str(error).split())
-                raise ValueError(f"{self.path} breaks off while it is read: {words}") from error
-            yield BagMessage(
-                connection.topic,
-                connection.msgtype,
-                log_time_ns,
-                bytes(serialized),
-                str(self.path),
-            )
+        try:
+            for connection, log_time_ns, serialized in reader.messages(connections):
+                topic, kind = connection.topic, connection.msgtype
+                yield BagMessage(topic, kind, log_time_ns, bytes(serialized), str(self.path))
+        except Exception as error:
+            words = " ".join(str(error).split())
+            raise ValueError(f"{self.path} breaks off while it is read: {words}") from error
 
     def _no_bag(self, reason: object) -> str:
         return (

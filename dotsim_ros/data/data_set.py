@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from dotsim_ros.geometry.indenter import Indenter, is_definition, load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, skin_of_triangles
 from dotsim_ros.io.documents import ArrayForm, read_arrays, read_yaml, value_text
 from dotsim_ros.io.files import expanded
-from dotsim_ros.io.printable import did_you_mean
+from dotsim_ros.io.printable import did_you_mean, placed
 from dotsim_ros.specification import LARGEST_LENGTH_M
 
 INDEX = "dataset.yaml"
@@ -116,10 +116,8 @@ class DataSet:
                 f"{SMALLEST_SKIN_M} to {LARGEST_LENGTH_M} m; if these are millimetres, multiply by "
                 "0.001"
             )
-        try:
+        with placed(path):
             return replace(skin_of_triangles(position, arrays["triangles"]), on_base=on_base)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
 
     def named(self, names: Sequence[str]) -> tuple[DataSetEntry, ...]:
         """Return the trajectories of some names, in their order.
@@ -137,6 +135,25 @@ class DataSet:
         if not names:
             raise ValueError("no trajectory was named, expected at least one")
         return tuple(by_name[name] for name in names)
+
+    def filmed(self, names: Collection[str] = ()) -> tuple[DataSetEntry, ...]:
+        """Return the trajectories with images, all or those of some names.
+
+        Raises:
+            ValueError: there is none, or none of a name.
+        """
+        entries = {entry.name: entry for entry in self.entries if entry.has_images}
+        if not entries:
+            raise ValueError(
+                f"{self.directory} says that none of its trajectories holds images; record them "
+                "with images, or set 'images: true' in its index"
+            )
+        unknown = sorted(set(names) - set(entries))
+        if unknown:
+            raise ValueError(
+                f"{self.directory} has no trajectory with images named {', '.join(unknown)}"
+            )
+        return tuple(entry for name, entry in entries.items() if name in (names or entries))
 
     def idle_images(self) -> tuple[Path, ...]:
         """Return the files of the images without contact."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dotsim_ros.data.data_set import WeightEntry
-from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics, read_trajectory
+from dotsim_ros.data.trajectory import MEASURED_TOPICS, read_trajectory
 from dotsim_ros.io.arrays import FloatArray
 
 LEAST_FRAMES = 5
@@ -42,15 +42,17 @@ class ForceScale:
         return ForceScale(ratio, ratio * float(share), self.names + other.names)
 
 
-def read_weight(entry: WeightEntry, *, topics: Topics = MEASURED_TOPICS) -> ForceScale:
+def read_weight(entry: WeightEntry) -> ForceScale:
     """Return the scale of a gauge by one weight.
 
     Raises:
         ValueError: no bag with forces, too few frames, or a reading that is of no weight.
     """
-    wrench = read_trajectory(entry.bag, topics=topics, channels=("wrench",)).wrench
+    wrench = read_trajectory(entry.bag, channels=("wrench",)).wrench
     if wrench is None or not np.all(np.isfinite(wrench.force_n)):
-        raise ValueError(f"{entry.name}: no force, or one that is not finite, in {topics.wrench}")
+        raise ValueError(
+            f"{entry.name}: no force, or one that is not finite, in {MEASURED_TOPICS.wrench}"
+        )
     reading_n, error_n, count = _reading(wrench.force_n)
     if count < LEAST_FRAMES:
         raise ValueError(

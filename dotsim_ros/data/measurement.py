@@ -15,13 +15,13 @@ import numpy as np
 from dotsim_ros.data.bag import BagReader
 from dotsim_ros.data.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.data.reading import (
-    read_motion,
-    read_observation,
+    PressReader,
+    read_bag,
     starts_in_session,
     summarize_reasons,
 )
 from dotsim_ros.data.recording import Recording, recording_of
-from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
+from dotsim_ros.data.trajectory import MEASURED_TOPICS
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 
 HELD_OUT_SHARE = 0.4
@@ -49,9 +49,7 @@ class Measurement:
     digest: str
 
 
-def holds_skin_or_force(
-    directory: str | Path | DataSet, *, topics: Topics = MEASURED_TOPICS
-) -> bool:
+def holds_skin_or_force(directory: str | Path | DataSet) -> bool:
     """Return whether a bag of a data set holds the skin or the force; a bag that cannot be read
     counts as one that does, so that reading it reports what is wrong."""
     for entry in read_data_set(directory).entries:
@@ -60,7 +58,7 @@ def holds_skin_or_force(
                 there = bag.topics()
         except (OSError, ValueError):
             return True
-        if topics.skin in there or topics.wrench in there:
+        if MEASURED_TOPICS.skin in there or MEASURED_TOPICS.wrench in there:
             return True
     return False
 
@@ -70,7 +68,6 @@ def read_measurement(
     *,
     own_skin: SkinMesh,
     indenters: str | Path | None = None,
-    topics: Topics = MEASURED_TOPICS,
 ) -> Measurement:
     """Read a data set.
 
@@ -78,7 +75,6 @@ def read_measurement(
         data: its folder, or what its index says.
         own_skin: of the sensor's file, used where the data set has no mesh of its own.
         indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
-        topics: where the channels lie.
 
     Raises:
         FileNotFoundError: no data set there.
@@ -91,21 +87,13 @@ def read_measurement(
         for name in IGNORED
         if any(folder.rglob(name))
     ]
-    has_vertices = data_set.has_skin_mesh
-    skin = data_set.skin_mesh() if has_vertices else own_skin
+    reader = PressReader.of(data_set, own_skin, indenters=indenters)
 
     def read(entry: DataSetEntry) -> Recording:
-        found = read_observation(
-            data_set,
-            entry,
-            skin=skin,
-            has_vertices=has_vertices,
-            topics=topics,
-            indenters=indenters,
-        )
-        return recording_of(found.press, found.indenter, skin)
+        found = reader.read(entry)
+        return recording_of(found.press, found.indenter, reader.skin)
 
-    recordings, left_out = _read_each(data_set, read, topics)
+    recordings, left_out = _read_each(data_set, read)
     warnings = (*ignored, *left_out)
     if not recordings:
         raise ValueError(f"{folder}: no trajectory can be used: {summarize_reasons(warnings)}")
@@ -116,7 +104,7 @@ def read_measurement(
             digest.update(pose.position_m.tobytes() + pose.quaternion_xyzw.tobytes())
         for array in (press.stamp_s, press.skin_position_m, press.force_n):
             digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
-    return Measurement(folder, skin, recordings, warnings, digest.hexdigest()[:16])
+    return Measurement(folder, reader.skin, recordings, warnings, digest.hexdigest()[:16])
 
 
 def read_poses(
@@ -124,7 +112,6 @@ def read_poses(
     *,
     skin: SkinMesh,
     indenters: str | Path | None = None,
-    topics: Topics = MEASURED_TOPICS,
 ) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
     """Return the motions of a data set, measured or only planned, and what was left out.
 
@@ -136,7 +123,7 @@ def read_poses(
     data_set = read_data_set(data)
 
     def read(entry: DataSetEntry) -> Recording:
-        press = read_motion(entry, topics=topics)
+        press = read_bag(entry, channels=("pose",)).press()
         count = press.frame_count
         planned = replace(
             press,
@@ -145,7 +132,7 @@ def read_poses(
         )
         return recording_of(planned, find_indenter(data_set, entry.indenter, indenters), skin)
 
-    recordings, warnings = _read_each(data_set, read, topics)
+    recordings, warnings = _read_each(data_set, read)
     if not recordings:
         raise ValueError(
             f"{data_set.directory}: no trajectory has poses: {summarize_reasons(warnings)}"
@@ -154,7 +141,7 @@ def read_poses(
 
 
 def _read_each(
-    data_set: DataSet, read: Callable[[DataSetEntry], Recording], topics: Topics
+    data_set: DataSet, read: Callable[[DataSetEntry], Recording]
 ) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
     """Return the recordings that can be read, with the time of each in the session, to which the
     others belong, too; and why those were left out."""
@@ -170,7 +157,7 @@ def _read_each(
         None if one is None else (float(one.press.stamp_s[0]), float(one.press.stamp_s[-1]))
         for one in found
     ]
-    starts_s = starts_in_session(data_set, spans, topics)
+    starts_s = starts_in_session(data_set, spans)
     recordings = tuple(
         replace(one, session_s=start_s)
         for one, start_s in zip(found, starts_s, strict=True)

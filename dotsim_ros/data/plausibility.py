@@ -84,7 +84,7 @@ def check_press(
             _check_order(press, skin, depth_m, topics.skin)
         _check_motion(press.skin_position_m, depth_m, topics.skin)
     if press.force_n is not None:
-        _check_force(press, press.force_n, indenter, skin, depth_m, topics.wrench)
+        _check_force(press, indenter, skin, depth_m, topics.wrench)
 
 
 def _check_order(press: Press, skin: SkinMesh, depth_m: FloatArray, topic: str) -> None:
@@ -122,24 +122,30 @@ def _check_motion(skin_m: FloatArray, depth_m: FloatArray, topic: str) -> None:
 
 
 def _check_force(
-    press: Press,
-    force_n: FloatArray,
-    indenter: Indenter,
-    skin: SkinMesh,
-    depth_m: FloatArray,
-    topic: str,
+    press: Press, indenter: Indenter, skin: SkinMesh, depth_m: FloatArray, topic: str
 ) -> None:
+    """Refuse a force that does not answer the poses, or that no gel answers with."""
+    assert press.force_n is not None
     out_of_gel = np.stack([pose.rotation()[:, 2] for pose in press.poses])
-    outward_n = np.sum(force_n * out_of_gel, axis=1)
-    size_n = np.linalg.norm(force_n, axis=1)
-    _check_free(press, size_n, indenter, skin, depth_m, topic)
+    outward_n = np.sum(press.force_n * out_of_gel, axis=1)
+    size_n = np.linalg.norm(press.force_n, axis=1)
+    limit_n = max(FREE_FORCE_N, FREE_FORCE_SHARE * float(size_n.max()))
+    for frame in np.flatnonzero((size_n > limit_n) & (depth_m < -FREE_M)).tolist():
+        distance_m = indenter.distance_from(skin.rest_position_m, press.poses[frame])
+        away_m = float(distance_m.min(initial=np.inf))
+        if away_m > FREE_M:
+            raise ValueError(
+                f"{topic}, frame {frame}: a force of {size_n[frame]:.3g} N where the indenter is "
+                f"{1e3 * away_m:.1f} mm off the skin, expected none; set the gauge to zero in air, "
+                "and stamp pose and force by one clock"
+            )
     deepest = int(depth_m.argmax())
     deepest_m = float(depth_m[deepest])
     if deepest_m < LEAST_DEPTH_M:
         return
     place = f"{topic}: at {1e3 * deepest_m:.1f} mm of depth (frame {deepest})"
-    span_m = float(np.ptp(np.maximum(depth_m, 0.0)))
-    if span_m >= LEAST_DEPTH_M and float(np.ptp(force_n, axis=0).max()) == 0.0:
+    is_moving = float(np.ptp(np.maximum(depth_m, 0.0))) >= LEAST_DEPTH_M
+    if is_moving and float(np.ptp(press.force_n, axis=0).max()) == 0.0:
         raise ValueError(
             f"{place} the force is {size_n[deepest]:.4g} N, the same as in every other frame; "
             "expected it to grow with the depth; record the gauge while it measures"
@@ -149,10 +155,8 @@ def _check_force(
             f"{place} the force is zero; expected that of the gel on the indenter; record the "
             "gauge while it measures"
         )
-    follows = 1.0
-    if span_m >= LEAST_DEPTH_M:
-        follows = float(np.corrcoef(depth_m, outward_n)[0, 1])
-    if outward_n[deepest] < 0.0 and (span_m < LEAST_DEPTH_M or follows < -FOLLOWING):
+    follows = float(np.corrcoef(depth_m, outward_n)[0, 1]) if is_moving else 1.0
+    if outward_n[deepest] < 0.0 and (not is_moving or follows < -FOLLOWING):
         raise ValueError(
             f"{place} the force pulls the indenter into the gel, {outward_n[deepest]:.3g} N along "
             "its +z axis; expected the force of the gel on the indenter, which pushes it out: "
@@ -165,55 +169,19 @@ def _check_force(
             f"{follows:.2f}, expected near 1 and {FOLLOWING} at least; stamp pose and force by one "
             "clock, and check that both are of the same press"
         )
-    _check_stiffness(press, float(outward_n[deepest]), indenter, skin, deepest, place, deepest_m)
-
-
-def _check_free(
-    press: Press,
-    size_n: FloatArray,
-    indenter: Indenter,
-    skin: SkinMesh,
-    depth_m: FloatArray,
-    topic: str,
-) -> None:
-    """Refuse a force that is there without a contact."""
-    limit_n = max(FREE_FORCE_N, FREE_FORCE_SHARE * float(size_n.max()))
-    for frame in np.flatnonzero((size_n > limit_n) & (depth_m < -FREE_M)).tolist():
-        away_m = float(
-            indenter.distance_from(skin.rest_position_m, press.poses[frame]).min(initial=np.inf)
-        )
-        if away_m > FREE_M:
-            raise ValueError(
-                f"{topic}, frame {frame}: a force of {size_n[frame]:.3g} N where the indenter is "
-                f"{1e3 * away_m:.1f} mm off the skin, expected none; set the gauge to zero in air, "
-                "and stamp pose and force by one clock"
-            )
-
-
-def _check_stiffness(
-    press: Press,
-    outward_n: float,
-    indenter: Indenter,
-    skin: SkinMesh,
-    frame: int,
-    place: str,
-    depth_m: float,
-) -> None:
-    """Refuse a force that no gel answers with.
-
-    The punch of the area that the indenter takes of the skin at rest shows a stiffness that is half
-    to all of a gel's, whatever its shape.
-    """
-    inside = indenter.distance_from(skin.rest_position_m, press.poses[frame]) < 0.0
+    # The punch of the area that the indenter takes of the skin at rest shows a stiffness that is
+    # half to all of a gel's, whatever its shape.
+    inside = indenter.distance_from(skin.rest_position_m, press.poses[deepest]) < 0.0
     area_m2 = float(skin.rest_area_m2[inside].sum())
     if area_m2 == 0.0:
         return
     radius_m = float(np.sqrt(area_m2 / np.pi))
-    shown_pa = 0.75 * outward_n / (2.0 * radius_m * depth_m)
+    shown_pa = 0.75 * float(outward_n[deepest]) / (2.0 * radius_m * deepest_m)
     if not SOFTEST_PA / (2.0 * TOLD_APART) <= shown_pa <= TOLD_APART * HARDEST_PA:
         hint = "millinewtons" if shown_pa > HARDEST_PA else "kilonewtons"
         raise ValueError(
-            f"{place} the force is {outward_n:.3g} N along the indenter's axis, that of a gel with "
-            f"a Young's modulus of some {shown_pa:.1e} Pa; expected newtons and {SOFTEST_PA:.0e} "
-            f"to {HARDEST_PA:.0e} Pa; if these are {hint}, convert them; else check the poses"
+            f"{place} the force is {outward_n[deepest]:.3g} N along the indenter's axis, that of a "
+            f"gel with a Young's modulus of some {shown_pa:.1e} Pa; expected newtons and "
+            f"{SOFTEST_PA:.0e} to {HARDEST_PA:.0e} Pa; if these are {hint}, convert them; else "
+            "check the poses"
         )

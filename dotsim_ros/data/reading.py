@@ -18,7 +18,7 @@ import numpy as np
 import msg_adapters
 from dotsim_ros.data.bag import BagMessage, BagReader
 from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter
-from dotsim_ros.data.plausibility import check_press
+from dotsim_ros.data.plausibility import check_press, check_same_shape
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.recording import Span, session_starts
 from dotsim_ros.data.trajectory import (
@@ -108,10 +108,20 @@ class MeasuredBag:
         Raises:
             BadBagError: their stamps differ.
         """
-        try:
-            return press_of(self.trajectory, name=self.entry.name, indenter=self.entry.indenter)
-        except ValueError as error:
-            raise BadBagError(str(error)) from error
+        pose, skin, wrench = self.trajectory.pose, self.trajectory.skin, self.trajectory.wrench
+        assert pose is not None
+        for what, channel in (("skin", skin), ("wrench", wrench)):
+            if channel is not None and not np.array_equal(channel.stamp_ns, pose.stamp_ns):
+                differ = _stamps_differ(what, channel.stamp_ns, pose.stamp_ns)
+                raise BadBagError(f"{self.entry.name}: {differ}")
+        return Press(
+            name=self.entry.name,
+            indenter=self.entry.indenter,
+            poses=pose.poses(),
+            stamp_s=_seconds(pose.stamp_ns),
+            skin_position_m=None if skin is None else skin.position_m.astype(np.float64),
+            force_n=None if wrench is None else wrench.force_n,
+        )
 
     def footage(self, *, idle: ImageArray | None = None, most: int | None = None) -> PressImages:
         """Return the images, with poses and forces interpolated to their times.
@@ -295,109 +305,89 @@ def _check_row(
         )
 
 
-def press_of(trajectory: Trajectory, *, name: str, indenter: str) -> Press:
-    """Return the poses of a trajectory as a press, with skin and force where it has them.
+@dataclass(frozen=True)
+class PressReader:
+    """Reads the presses of a data set, each checked against its indenter and the skin.
 
-    Raises:
-        ValueError: it has no poses, or skin and wrench are stamped otherwise; or as `Press`.
-    """
-    pose, skin, wrench = trajectory.pose, trajectory.skin, trajectory.wrench
-    if pose is None:
-        raise ValueError(
-            f"{name}: no pose of the indenter; record it as geometry_msgs/PoseStamped, or name its "
-            "topic"
-        )
-    for what, channel in (("skin", skin), ("wrench", wrench)):
-        if channel is not None and not np.array_equal(channel.stamp_ns, pose.stamp_ns):
-            raise ValueError(f"{name}: {_stamps_differ(what, channel.stamp_ns, pose.stamp_ns)}")
-    return Press(
-        name=name,
-        indenter=indenter,
-        poses=pose.poses(),
-        stamp_s=_seconds(pose.stamp_ns),
-        skin_position_m=None if skin is None else skin.position_m.astype(np.float64),
-        force_n=None if wrench is None else wrench.force_n,
-    )
-
-
-def read_observation(
-    data_set: DataSet,
-    entry: DataSetEntry,
-    *,
-    skin: SkinMesh,
-    has_vertices: bool,
-    topics: Topics = MEASURED_TOPICS,
-    indenters: str | Path | None = None,
-) -> Observation:
-    """Read a press and its indenter.
-
-    Args:
-        data_set: where the indenter is looked for.
-        entry: the trajectory.
+    Attributes:
+        data_set: where bags and indenters are looked for.
         skin: at rest; the data set's, or the sensor's own where it has none.
         has_vertices: whether the clouds list the skin's vertices; where not, they may differ.
         topics: where the channels lie.
         indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
-
-    Raises:
-        BadBagError: the bag, or its indenter, cannot be used.
     """
-    vertex_count = skin.vertex_count if has_vertices else None
-    press = read_bag(entry, topics=topics, vertex_count=vertex_count).press()
-    try:
-        indenter = find_indenter(data_set, entry.indenter, indenters)
-    except FileNotFoundError as error:
-        raise BadBagError(
-            f"{entry.name}: {error}; add the file, or correct the name in dataset.yaml"
-        ) from error
-    except ValueError as error:
-        raise BadBagError(f"{entry.name}: {error}") from error
-    if press.skin_position_m is None and press.force_n is None:
-        raise BadBagError(
-            f"{entry.name}: neither {topics.skin} nor {topics.wrench} in the bag; record one of "
-            "them, or name its topic"
-        )
-    try:
-        check_press(press, indenter, skin, has_vertices=has_vertices, topics=topics)
-    except ValueError as error:
-        raise BadBagError(f"{entry.name}, {error}") from error
-    return Observation(press, indenter)
 
+    data_set: DataSet
+    skin: SkinMesh
+    has_vertices: bool
+    topics: Topics = MEASURED_TOPICS
+    indenters: str | Path | None = None
 
-def read_observations(
-    data_set: DataSet,
-    names: Sequence[str],
-    *,
-    skin: SkinMesh,
-    has_vertices: bool,
-    topics: Topics = MEASURED_TOPICS,
-    indenters: str | Path | None = None,
-) -> tuple[list[Observation], list[Omission]]:
-    """Return what can be used of the named trajectories, and why the others cannot."""
-    found, omitted = [], []
-    for entry in data_set.named(names) if names else ():
+    @classmethod
+    def of(
+        cls,
+        data_set: DataSet,
+        own_skin: SkinMesh,
+        *,
+        sensor: str | None = None,
+        topics: Topics = MEASURED_TOPICS,
+        indenters: str | Path | None = None,
+    ) -> PressReader:
+        """Return the reader of a data set.
+
+        Args:
+            data_set: with a skin, or without.
+            own_skin: of the sensor's file, used where the data set has none.
+            sensor: the sensor's name, to refuse the skin of another one; None takes any.
+            topics, indenters: as above.
+
+        Raises:
+            ValueError: the data set's skin is no mesh, or not that of the sensor.
+        """
+        if not data_set.has_skin_mesh:
+            return cls(data_set, own_skin, False, topics, indenters)
+        skin = data_set.skin_mesh()
+        if sensor is not None:
+            check_same_shape(skin, own_skin, data=str(data_set.directory), sensor=sensor)
+        return cls(data_set, skin, True, topics, indenters)
+
+    def read(self, entry: DataSetEntry) -> Observation:
+        """Read a press and its indenter.
+
+        Raises:
+            BadBagError: the bag, or its indenter, cannot be used.
+        """
+        topics = self.topics
+        vertex_count = self.skin.vertex_count if self.has_vertices else None
+        press = read_bag(entry, topics=topics, vertex_count=vertex_count).press()
         try:
-            one = read_observation(
-                data_set,
-                entry,
-                skin=skin,
-                has_vertices=has_vertices,
-                topics=topics,
-                indenters=indenters,
+            indenter = find_indenter(self.data_set, entry.indenter, self.indenters)
+        except FileNotFoundError as error:
+            raise BadBagError(
+                f"{entry.name}: {error}; add the file, or correct the name in dataset.yaml"
+            ) from error
+        except ValueError as error:
+            raise BadBagError(f"{entry.name}: {error}") from error
+        if press.skin_position_m is None and press.force_n is None:
+            raise BadBagError(
+                f"{entry.name}: neither {topics.skin} nor {topics.wrench} in the bag; record one "
+                "of them, or name its topic"
             )
-            found.append(one)
-        except BadBagError as error:
-            omitted.append(Omission(entry.name, str(error)))
-    return found, omitted
+        try:
+            check_press(press, indenter, self.skin, has_vertices=self.has_vertices, topics=topics)
+        except ValueError as error:
+            raise BadBagError(f"{entry.name}, {error}") from error
+        return Observation(press, indenter)
 
-
-def read_motion(entry: DataSetEntry, *, topics: Topics = MEASURED_TOPICS) -> Press:
-    """Read the poses of a press alone, measured or only planned.
-
-    Raises:
-        BadBagError: as `read_bag`.
-    """
-    return read_bag(entry, topics=topics, channels=("pose",)).press()
+    def read_all(self, names: Sequence[str]) -> tuple[list[Observation], list[Omission]]:
+        """Return what can be used of the named trajectories, and why the others cannot."""
+        found, omitted = [], []
+        for entry in self.data_set.named(names) if names else ():
+            try:
+                found.append(self.read(entry))
+            except BadBagError as error:
+                omitted.append(Omission(entry.name, str(error)))
+        return found, omitted
 
 
 def read_press_images(
@@ -416,9 +406,7 @@ def read_press_images(
     return read_bag(entry, topics=topics, channels=channels).footage(idle=idle, most=most)
 
 
-def starts_in_session(
-    data_set: DataSet, spans_s: Sequence[Span | None], topics: Topics = MEASURED_TOPICS
-) -> list[float]:
+def starts_in_session(data_set: DataSet, spans_s: Sequence[Span | None]) -> list[float]:
     """Return when each trajectory of a data set began, s after the first.
 
     The poses of one whose span is None, which was not read, are read alone.
@@ -427,7 +415,7 @@ def starts_in_session(
     for entry, span_s in zip(data_set.entries, spans_s, strict=True):
         if span_s is None:
             try:
-                pose = read_trajectory(entry.bag, topics=topics, channels=("pose",)).pose
+                pose = read_trajectory(entry.bag, channels=("pose",)).pose
                 span_s = None if pose is None else _span(pose.stamp_ns)
             except (FileNotFoundError, ValueError):
                 pass

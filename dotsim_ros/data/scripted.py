@@ -156,14 +156,14 @@ def twist(
     return joined(press, turn, reversed_motion(turn), reversed_motion(press))
 
 
-def travel(start: Pose, end: Pose, *, speed_m_s: float = TRAVEL_SPEED_M_S) -> Motion:
+def travel(start: Pose, end: Pose) -> Motion:
     """Return the way through the air between two poses off the skin: round the dome, not through.
 
     The origin follows the great circle between the two, its distance from the dome's centre going
     evenly from the one to the other.
 
     Raises:
-        ValueError: a pose at the dome's centre, or a speed that is not positive.
+        ValueError: a pose at the dome's centre.
     """
     radii = [float(np.linalg.norm(pose.position_m)) for pose in (start, end)]
     if min(radii) == 0.0:
@@ -184,7 +184,7 @@ def travel(start: Pose, end: Pose, *, speed_m_s: float = TRAVEL_SPEED_M_S) -> Mo
         origin = radius * (np.cos(angle) * first + np.sin(angle) * across)
         quaternion = interpolate(start, end, part).quaternion_xyzw
         path.append(Pose(origin, quaternion))
-    return at_speed([*path, end], speed_m_s=speed_m_s)
+    return at_speed([*path, end], speed_m_s=TRAVEL_SPEED_M_S)
 
 
 def in_sequence(motions: list[Motion]) -> Motion:

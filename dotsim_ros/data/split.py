@@ -5,11 +5,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 
+from dotsim_ros.data.data_set import DataSetEntry
+
 HELD_OUT_COUNT = 9
+
+
+def usual_hold_out(count: int) -> int:
+    """Return on how many of so many trajectories a fit is judged."""
+    return HELD_OUT_COUNT if count > HELD_OUT_COUNT else 0
+
+
+def split_of(
+    entries: Sequence[DataSetEntry],
+    *,
+    leave_out: Collection[str] = (),
+    hold_out: int | None = None,
+    seed: int = 0,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the sorted names of the trajectories to fit on and to judge on.
+
+    Args:
+        entries: the trajectories.
+        leave_out: indenters to judge on; empty to draw trajectories.
+        hold_out: how many are drawn; None for the usual number, 0 for none.
+        seed: of the draw: gel, camera and network are judged on the same.
+
+    Raises:
+        ValueError: an unknown indenter, or nothing left to fit on or to judge on.
+    """
+    indenter_of = {entry.name: entry.indenter for entry in entries}
+    names = sorted(indenter_of)
+    if leave_out:
+        known = set(indenter_of.values())
+        train = tuple(name for name in names if indenter_of[name] not in leave_out)
+        held_out = tuple(name for name in names if indenter_of[name] in leave_out)
+        if not train or not held_out or not set(leave_out) <= known:
+            raise ValueError(
+                f"to leave out {', '.join(leave_out)} leaves {len(train)} trajectories to fit on "
+                f"and {len(held_out)} to judge on; indenters are {', '.join(sorted(known))}: name "
+                "some of them, not all"
+            )
+        return train, held_out
+    count = usual_hold_out(len(names)) if hold_out is None else hold_out
+    return hold_out_of_protocols(names, count, seed) if count else (tuple(names), ())
 
 
 def hold_out_of_protocols(

@@ -9,7 +9,7 @@ import functools
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Any, TypeVar, cast
 
 
 class ExclusiveUse:
@@ -60,21 +60,10 @@ class ExclusiveUse:
         )
 
 
-class _HasExclusiveUse(Protocol):
-    @property
-    def exclusive_use(self) -> ExclusiveUse: ...
+Method = TypeVar("Method", bound=Callable[..., Any])
 
 
-Owner = TypeVar("Owner", bound=_HasExclusiveUse)
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
-
-
-def exclusive(
-    *, begins: bool = False
-) -> Callable[
-    [Callable[Concatenate[Owner, Given], Result]], Callable[Concatenate[Owner, Given], Result]
-]:
+def exclusive(*, begins: bool = False) -> Callable[[Method], Method]:
     """Return a decorator for methods that one thread at a time may call, all of an object together:
     those of its `exclusive_use`.
 
@@ -82,14 +71,12 @@ def exclusive(
         begins: as `ExclusiveUse.call`.
     """
 
-    def decorate(
-        method: Callable[Concatenate[Owner, Given], Result],
-    ) -> Callable[Concatenate[Owner, Given], Result]:
+    def decorate(method: Method) -> Method:
         @functools.wraps(method)
-        def called(self: Owner, *given: Given.args, **named: Given.kwargs) -> Result:
+        def called(self: Any, *given: Any, **named: Any) -> Any:
             with self.exclusive_use.call(begins=begins):
                 return method(self, *given, **named)
 
-        return called
+        return cast(Method, called)
 
     return decorate

@@ -240,16 +240,16 @@ def given_path(name: str) -> Path:
     return path if path.is_absolute() else parameter_path(name)
 
 
-def short_name(name: str, most: int = 80) -> str:
-    """Return a name as it is, or where it is longer than `most` bytes its beginning and a hash.
+def short_name(name: str) -> str:
+    """Return a name as it is, or where it is longer than 80 bytes its beginning and a hash.
 
     File systems take 255 bytes, and what is written for a while next to a file needs some of them.
     """
     encoded = os.fsencode(name)
-    if len(encoded) <= most:
+    if len(encoded) <= 80:
         return name
     digest = hashlib.sha256(encoded).hexdigest()[:16]
-    return f"{encoded[: most - 17].decode(errors='ignore')}-{digest}"
+    return f"{encoded[:63].decode(errors='ignore')}-{digest}"
 
 
 PROBE_BYTES = 1 << 20

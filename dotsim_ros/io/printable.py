@@ -65,3 +65,14 @@ def boxes_for_missing_glyphs() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         yield
+
+
+@contextmanager
+def placed(place: object) -> Iterator[None]:
+    """Put the place before what is wrong there, where the words do not begin with it."""
+    try:
+        yield
+    except ValueError as error:
+        if str(error).startswith(str(place)):
+            raise
+        raise ValueError(f"{place}: {error}") from error

@@ -78,7 +78,7 @@ class FirstTimeNotice:
             say_first_time(self._what, left_s)
 
 
-def bar(share: float, note: str, *, width: int = 30) -> str:
+def bar(share: float, note: str) -> str:
     """Return a bar that shows how much is done, and what else is to be said."""
-    done = round(width * min(1.0, max(0.0, share)))
-    return f"[{'#' * done}{'.' * (width - done)}] {note}"
+    done = round(30 * min(1.0, max(0.0, share)))
+    return f"[{'#' * done}{'.' * (30 - done)}] {note}"

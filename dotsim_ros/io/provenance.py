@@ -40,8 +40,6 @@ def _command() -> str:
     # A virtual environment may be reached by a link.
     is_installed = program.parent.resolve() == Path(sys.executable).parent.resolve()
     called = [program.name] if is_installed else ["python", sys.argv[0]]
-    if program.name == "__main__.py":
-        called = ["python", "-m", program.parent.name]
     return " ".join([*called, *sys.argv[1:]])
 
 

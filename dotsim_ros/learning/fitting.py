@@ -64,13 +64,7 @@ class FittedNetwork:
         full = (self.camera.width, self.camera.height)
         images = []
         for completion, warped in zip(added, press.warped, strict=True):
-            match BASES[self.kind]:
-                case "warped":
-                    base = warped.astype(np.float32)
-                case "idle":
-                    base = rest.idle.astype(np.float32)
-                case _:
-                    base = np.zeros(warped.shape, dtype=np.float32)
+            base = {"warped": warped, "idle": rest.idle}.get(BASES[self.kind], np.uint8(0))
             image = base + resized(completion, full)
             images.append(np.clip(np.rint(image), 0.0, 255.0).astype(np.uint8))
         return np.stack(images)

@@ -18,7 +18,7 @@ predicted is that of their mean.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -150,7 +150,6 @@ def fit_neighbourhood(
     seed: int = 0,
     size: int | None = None,
     recipe: NeighbourhoodRecipe | None = None,
-    progress: Callable[[int, int], None] = lambda _done, _steps: None,
 ) -> FittedNetwork:
     """Return the network of least squared error of the colour, each photograph's gains aside.
 
@@ -161,7 +160,6 @@ def fit_neighbourhood(
         seed: of the first weights and of the pixels drawn.
         size: width of the network's images in pixels; None as `fitting.network_size`.
         recipe: how it is trained; None for the default.
-        progress: called with the steps done and their number.
 
     Raises:
         ValueError: as `examples.make_examples`, or nothing has moved in any press.
@@ -188,7 +186,7 @@ def fit_neighbourhood(
     )
     drawn = torch.Generator().manual_seed(seed)
     errors = []
-    for step in range(recipe.steps):
+    for _ in range(recipe.steps):
         of = torch.randint(frames, (recipe.batch,), generator=drawn)
         at = torch.randint(pixels.features.shape[1], (recipe.batch,), generator=drawn)
         features, image, measured, acts = (
@@ -204,8 +202,6 @@ def fit_neighbourhood(
         optimiser.step()
         schedule.step()
         errors.append(float(loss.item()))
-        if (step + 1) % 500 == 0 or step + 1 == recipe.steps:
-            progress(step + 1, recipe.steps)
     last = sum(errors[-100:]) / len(errors[-100:])
     if not last < float("inf"):
         raise FloatingPointError("the training diverged; look for frames that are not finite")

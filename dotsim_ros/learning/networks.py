@@ -22,6 +22,8 @@ or to nothing. The factor f is 2 for ours and 1 for the others.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -31,29 +33,25 @@ from dotsim_ros.optics.network.input import CARRIED, DEPTH, FADE, FRAME, GEOMETR
 
 
 class DeepLab(nn.Module):
-    """DeepLabV3-ResNet50 of torchvision with four channels in and three out."""
+    """DeepLabV3 of torchvision with four channels in and three out.
 
-    def __init__(self) -> None:
+    Args:
+        is_mobile: with MobileNetV3-Large in place of ResNet50.
+    """
+
+    def __init__(self, *, is_mobile: bool = False) -> None:
         super().__init__()
-        from torchvision.models.segmentation import deeplabv3_resnet50
+        from torchvision.models import segmentation
 
-        self.body = deeplabv3_resnet50(weights=None, weights_backbone=None, num_classes=3)
-        self.body.backbone["conv1"] = nn.Conv2d(4, 64, 7, stride=2, padding=3, bias=False)
-
-    def forward(self, frame: Tensor, rest: Tensor, image: Tensor) -> Tensor:
-        """Return what is to be added to the base; of the frame only the geometry plays a part."""
-        return self.body(frame[:, GEOMETRY])["out"]
-
-
-class MobileDeepLab(nn.Module):
-    """DeepLabV3-MobileNetV3-Large of torchvision with four channels in and three out."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        from torchvision.models.segmentation import deeplabv3_mobilenet_v3_large
-
-        self.body = deeplabv3_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=3)
-        self.body.backbone["0"][0] = nn.Conv2d(4, 16, 3, stride=2, padding=1, bias=False)
+        untrained: dict[str, Any] = {"weights": None, "weights_backbone": None, "num_classes": 3}
+        if is_mobile:
+            self.body = segmentation.deeplabv3_mobilenet_v3_large(**untrained)
+            entry = nn.Conv2d(4, 16, 3, stride=2, padding=1, bias=False)
+            self.body.backbone["0"][0] = entry
+        else:
+            self.body = segmentation.deeplabv3_resnet50(**untrained)
+            entry = nn.Conv2d(4, 64, 7, stride=2, padding=3, bias=False)
+            self.body.backbone["conv1"] = entry
 
     def forward(self, frame: Tensor, rest: Tensor, image: Tensor) -> Tensor:
         """Return what is to be added to the base; of the frame only the geometry plays a part."""
@@ -72,15 +70,11 @@ def _double_convolution(inputs: int, outputs: int) -> nn.Sequential:
 
 
 class UNet(nn.Module):
-    """A U-Net of four levels on normals and depth.
+    """A U-Net of four levels on normals and depth, each with twice the channels of that above."""
 
-    Args:
-        width: channels at full resolution; each level below has twice as many.
-    """
-
-    def __init__(self, width: int = 32) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        widths = [width, 2 * width, 4 * width, 8 * width]
+        widths = [32, 64, 128, 256]
         self.down = nn.ModuleList(
             _double_convolution(a, b) for a, b in zip([4, *widths], widths, strict=False)
         )
@@ -88,7 +82,7 @@ class UNet(nn.Module):
             _double_convolution(a + b, a)
             for a, b in zip(widths[-2::-1], widths[:0:-1], strict=True)
         )
-        self.out = nn.Conv2d(width, 3, 1)
+        self.out = nn.Conv2d(widths[0], 3, 1)
 
     def forward(self, frame: Tensor, rest: Tensor, image: Tensor) -> Tensor:
         """Return what is to be added to the base; of the frame only the geometry plays a part."""
@@ -133,14 +127,12 @@ class LocalModel(nn.Module):
     multiplied by a measure of whether anything has moved, exactly zero at rest, and by the fade of
     the lit disc. (A shift of the pattern as further coefficients fits the errors of pose of single
     presses, and does no good on others.)
-
-    Args:
-        width: channels at half the geometry's resolution.
-        deep_width: channels at a quarter and an eighth.
     """
 
-    def __init__(self, width: int = 16, deep_width: int = 48) -> None:
+    def __init__(self) -> None:
         super().__init__()
+        # Channels at half the geometry's resolution; at a quarter and an eighth.
+        width, deep_width = 16, 48
         self.entry = nn.Conv2d(_GIVEN, width, 2, stride=2)
         self.fine = Block(width)
         self.down = nn.Conv2d(width, deep_width, 2, stride=2)
@@ -218,8 +210,8 @@ KINDS: dict[str, Callable[[], nn.Module]] = {
     "ours": LocalModel,
     "paper": DeepLab,
     "paper_direct": DeepLab,
-    "paper_mobile": MobileDeepLab,
-    "paper_mobile_warped": MobileDeepLab,
+    "paper_mobile": partial(DeepLab, is_mobile=True),
+    "paper_mobile_warped": partial(DeepLab, is_mobile=True),
     "unet": UNet,
 }
 

@@ -17,7 +17,7 @@ import yaml
 
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.documents import read_yaml
-from dotsim_ros.io.files import parameter_path, whole_file, write_image, write_json
+from dotsim_ros.io.files import parameter_path, write_image, write_json, write_text
 from dotsim_ros.io.provenance import provenance
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork, check_width, fit_network
@@ -42,7 +42,6 @@ IDLE = "idle.png"
 SENSOR = "sensor.yaml"
 PREVIEW = "preview.png"
 REPORT = "training.json"
-COLUMNS = ("measured", "warped", "predicted", "error of warped x4", "error of predicted x4")
 ERROR_GAIN = 4.0
 
 
@@ -204,8 +203,8 @@ def _write_sensor(request: TrainOpticsRequest, filmed: FilmedData) -> None:
         lights = read_yaml(described) or {}
         # The disc is that of another image: this one shows the camera's own view.
         lights.pop("disc", None)
-        with whole_file((out / IDLE).with_suffix(".yaml")) as part:
-            part.write_text(yaml.safe_dump(lights, sort_keys=False), encoding="utf-8")
+        described_as = (out / IDLE).with_suffix(".yaml")
+        write_text(described_as, yaml.safe_dump(lights, sort_keys=False))
     camera = replace(request.sensor.camera, idle_image=_named(out / IDLE), residual=_named(out))
     write_sensor(
         request.sensor_file, replace(request.sensor, camera=camera), request.sensor_comment
@@ -238,14 +237,12 @@ def write_preview(
         frame = int(np.argmax(press.tip_depth_m))
         measured, warped = press.measured[frame], press.warped[frame]
         image = predicted[index][frame]
-        errors = [change_image(measured, shown, ERROR_GAIN) for shown in (warped, image)]
-        titles = (f"{press.name}, frame {frame}: {COLUMNS[0]}", *COLUMNS[1:])
-        lines.append(
-            np.hstack(
-                [
-                    titled(*pair)
-                    for pair in zip((measured, warped, image, *errors), titles, strict=True)
-                ]
-            )
-        )
+        shown = {
+            f"{press.name}, frame {frame}: measured": measured,
+            "warped": warped,
+            "predicted": image,
+            "error of warped x4": change_image(measured, warped, ERROR_GAIN),
+            "error of predicted x4": change_image(measured, image, ERROR_GAIN),
+        }
+        lines.append(np.hstack([titled(pixels, title) for title, pixels in shown.items()]))
     write_image(path, np.vstack(lines))

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
+from dotsim_ros.data.data_set import find_indenter, read_data_set
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import read_bag, read_press_images
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
@@ -171,7 +171,7 @@ def read_filmed_data(
     data_set = read_data_set(directory)
     paths = data_set.idle_images()
     idle = mean_idle_image(read_idle_images(paths), paths)
-    entries = data_set.named(presses) if presses is not None else _filmed(data_set)
+    entries = data_set.filmed() if presses is None else data_set.named(presses)
     base_m = base_in_data_m(sensor, data_set)
     footage = []
     for entry in entries:
@@ -317,16 +317,6 @@ def render_filmed(
         )
     rest = Rest(filmed.idle, untouched.depth_m, untouched.normal, lit_region(filmed.idle))
     return OpticalData(camera, rest, tuple(seen))
-
-
-def _filmed(data_set: DataSet) -> tuple[DataSetEntry, ...]:
-    entries = tuple(entry for entry in data_set.entries if entry.has_images)
-    if not entries:
-        raise ValueError(
-            f"{data_set.directory} says that none of its trajectories holds images; record them "
-            "with images, or set 'images: true' in its index"
-        )
-    return entries
 
 
 def _untouched_frames(press: Press, indenter: Indenter, skin: SkinMesh) -> list[int]:

@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.data.bag import bag_name
 from dotsim_ros.io.documents import ArrayForm, read_arrays
+from dotsim_ros.io.printable import placed
 from dotsim_ros.view.panels import Drawing, PanelImages
 from dotsim_ros.view.sheet import strongest_stamps, write_sheet
 from dotsim_ros.view.timeline import ViewTopics, open_timeline
@@ -39,17 +39,6 @@ def _check_length(stamps_ns: NDArray[np.int64], fps: float, speed: float) -> Non
             f"{speed:g} and {fps:g} frames a second), expected at most {LARGEST_FRAME_COUNT}; give "
             "a higher --speed or a lower --fps, or --format none for the contact sheet alone"
         )
-
-
-@contextmanager
-def _of_bag(path: Path) -> Iterator[None]:
-    """Put the name of the bag before what is wrong with it."""
-    try:
-        yield
-    except ValueError as error:
-        if str(path) in str(error):
-            raise
-        raise ValueError(f"{path}: {error}") from error
 
 
 def view_bag(
@@ -84,7 +73,7 @@ def view_bag(
         ValueError: it cannot be read, is damaged, or shows nothing.
         OSError: a file could not be written; the one before it is left as it was.
     """
-    with open_timeline(path, topics) as timeline, _of_bag(path):
+    with open_timeline(path, topics) as timeline, placed(path):
         if timeline.bag.damage:
             warn(
                 f"{'; '.join(timeline.bag.damage)}; what comes before is shown (`dotsim_ros record "

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
@@ -19,6 +19,7 @@ from dotsim_ros.data.bag import BagMessage, BagReader
 from dotsim_ros.data.mcap.reader import Tolerance
 from dotsim_ros.data.trajectory import decode_colour
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.printable import placed
 
 LARGEST_FORCE_N = 1e6
 """What is larger is no force that was measured, and leaves no scale for the others."""
@@ -159,10 +160,8 @@ def open_timeline(path: str | Path, given: ViewTopics | None = None) -> Iterator
                 f"{path} holds no message that can be read{f': {reason}' if reason else ''}; "
                 "record the bag again"
             )
-        try:
+        with placed(path):
             topics = find_topics(there, given=given)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
         visible, stamps, refused_count = _visible(topics), set(), 0
         forces: list[tuple[int, FloatArray]] = []
         for message in bag.messages(*visible, *([topics.wrench] if topics.wrench else [])):
@@ -197,14 +196,9 @@ def _stamp_ns(message: BagMessage) -> int | None:
         return None
 
 
-@contextmanager
-def _named(message: BagMessage, stamp_ns: int) -> Iterator[None]:
+def _named(message: BagMessage, stamp_ns: int) -> AbstractContextManager[None]:
     """Put bag, topic and time before what is wrong with a message."""
-    try:
-        yield
-    except ValueError as error:
-        place = f"{message.bag}, {message.topic}, message of {1e-9 * stamp_ns:.3f} s"
-        raise ValueError(f"{place}: {error}") from error
+    return placed(f"{message.bag}, {message.topic}, message of {1e-9 * stamp_ns:.3f} s")
 
 
 def _force_n(message: BagMessage, stamp_ns: int) -> FloatArray:

@@ -10,7 +10,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import IO
@@ -67,6 +67,12 @@ def _places(shapes: dict[str, tuple[int, int]]) -> dict[str, PanelPlace]:
     return places
 
 
+def _box(place: PanelPlace) -> tuple[float, float, float, float]:
+    """Return a place as matplotlib has it: left, bottom, width, height as shares of the frame."""
+    bottom = 1.0 - (place.top + place.height) / HEIGHT_PX
+    return place.left / WIDTH_PX, bottom, place.width / WIDTH_PX, place.height / HEIGHT_PX
+
+
 class Board:
     """The part of every frame that stays: titles, colour scales, the force plot."""
 
@@ -93,19 +99,13 @@ class Board:
             )
             scale = self._drawing.images.colour_scale(name)
             if scale is not None:
-                bar = figure.add_axes(self._box(place.left + place.width + 8, place, 12))
-                figure.colorbar(scale, cax=bar)
+                bar = replace(place, left=place.left + place.width + 8, width=12)
+                figure.colorbar(scale, cax=figure.add_axes(_box(bar)))
         bottom = max(place.top + place.height for place in self._places.values())
         self._text_top = bottom + 10
         plot_top = bottom + 40
-        plot = figure.add_axes(
-            (
-                80 / WIDTH_PX,
-                56 / HEIGHT_PX,
-                (WIDTH_PX - 80 - 2 * MARGIN_PX) / WIDTH_PX,
-                (HEIGHT_PX - plot_top - 56) / HEIGHT_PX,
-            )
-        )
+        plot_size = (WIDTH_PX - 80 - 2 * MARGIN_PX, HEIGHT_PX - plot_top - 56)
+        plot = figure.add_axes(_box(PanelPlace(80, plot_top, *plot_size)))
         self._drawing.draw_forces(plot)
         figure.text(
             1.0 - 2 * MARGIN_PX / WIDTH_PX,
@@ -122,16 +122,6 @@ class Board:
         self._plot_rows = (round(HEIGHT_PX - box.y1), round(HEIGHT_PX - box.y0))
         self._plot_columns = (box.x0, box.x1)
         self._duration_s = plot.get_xlim()[1]
-
-    def _box(
-        self, left: float, place: PanelPlace, width: float
-    ) -> tuple[float, float, float, float]:
-        return (
-            left / WIDTH_PX,
-            1.0 - (place.top + place.height) / HEIGHT_PX,
-            width / WIDTH_PX,
-            place.height / HEIGHT_PX,
-        )
 
     def frame(self, moment: BagMoment) -> ImageArray:
         """Return the (720, 1280, 3) uint8 RGB frame of a moment."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from dotsim_ros.data.data_set import DataSet, read_data_set
 from dotsim_ros.data.presses import Press
-from dotsim_ros.data.reading import read_observation, summarize_reasons
+from dotsim_ros.data.reading import PressReader, summarize_reasons
 from dotsim_ros.data.split import (
     hold_out_of_protocols,
 )
@@ -121,13 +121,13 @@ def read_measured(data: DataSet, *, meshes: DataSet | None = None) -> Measured:
         ValueError: no press could be read.
     """
     skin = data.skin_mesh()
-    source = data if meshes is None else meshes
+    reader = PressReader(data if meshes is None else meshes, skin, True)
     presses: dict[str, Press] = {}
     indenters: dict[str, Indenter] = {}
     left_out: dict[str, str] = {}
     for entry in data.entries:
         try:
-            found = read_observation(source, entry, skin=skin, has_vertices=True)
+            found = reader.read(entry)
         except (ValueError, OSError) as error:
             left_out[entry.name] = str(error)
             continue

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dotsim_ros.data.data_set import DataSet, find_indenter, read_data_set
-from dotsim_ros.data.reading import read_motion
+from dotsim_ros.data.reading import read_bag
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter
@@ -70,7 +70,7 @@ class Footage:
         for press in (data or self.data).presses:
             if press.indenter not in indenters:
                 indenters[press.indenter] = find_indenter(self.source, press.indenter)
-            poses = read_motion(entries[press.name]).poses
+            poses = read_bag(entries[press.name], channels=("pose",)).press().poses
             presses[press.name] = clipped_press(press, poses, indenters[press.indenter], renderer)
         return presses
 

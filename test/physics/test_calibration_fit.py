@@ -8,12 +8,9 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
-import yaml
 from numpy.typing import NDArray
 
 from dotsim_ros.calibration.fitting import FitProblem, fit_press, linearise
@@ -21,15 +18,10 @@ from dotsim_ros.calibration.loss import CHAMFER, POINTS, LossNoise, force_deviat
 from dotsim_ros.calibration.parameters import chosen_parameters, coordinates
 from dotsim_ros.calibration.statistics import identifiability
 from dotsim_ros.cli.main import main
+from dotsim_ros.data.data_set_writer import write_data_set
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import Observation
-from dotsim_ros.data.trajectory import (
-    PoseChannel,
-    SkinChannel,
-    Trajectory,
-    WrenchChannel,
-    write_trajectory,
-)
+from dotsim_ros.data.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.gel.adjoint.backward import trajectory_gradient
 from dotsim_ros.gel.adjoint.gradient import LossGradient
 from dotsim_ros.gel.adjoint.recorder import Recorder
@@ -103,7 +95,7 @@ def observed(
 
 def problem_of(names: tuple[str, ...] = NAMES, **changes: object) -> FitProblem:
     made = FitProblem(chosen_parameters(names), values_of(SENSOR), NOISE, POINTS)
-    return replace(made, **changes)  # type: ignore[arg-type]
+    return replace(made, **changes)
 
 
 def adjoint_gradient(observation: Observation, values: GelValues) -> dict[str, float]:
@@ -139,7 +131,7 @@ def adjoint_gradient(observation: Observation, values: GelValues) -> dict[str, f
     }
 
 
-def test_the_gradient_that_the_columns_give_is_the_adjoints() -> None:
+def test_the_gradient_that_the_columns_give_is_the_adjoints():
     # Off the truth, so that the gradient is no sum of noise.
     values = replace(TRUTH, youngs_modulus_pa=2.4e5, poisson_ratio=0.44, friction=0.35)
     # In small steps: of a long slide in one step the two solvers find the friction less alike.
@@ -163,7 +155,7 @@ def test_the_gradient_that_the_columns_give_is_the_adjoints() -> None:
         assert found[name] == pytest.approx(expected[name], rel=0.05)
 
 
-def test_the_skin_does_not_depend_on_youngs_modulus_and_the_force_is_proportional() -> None:
+def test_the_skin_does_not_depend_on_youngs_modulus_and_the_force_is_proportional():
     states = []
     for youngs_pa in (2.0e5, 5.0e5):
         specification = specification_with(SENSOR, replace(TRUTH, youngs_modulus_pa=youngs_pa))
@@ -181,7 +173,7 @@ def test_the_skin_does_not_depend_on_youngs_modulus_and_the_force_is_proportiona
     assert ratio == pytest.approx(2.5, rel=2e-3)
 
 
-def test_the_skin_alone_tells_nothing_of_youngs_modulus_and_the_force_a_few_percent() -> None:
+def test_the_skin_alone_tells_nothing_of_youngs_modulus_and_the_force_a_few_percent():
     problem = problem_of()
     here = coordinates(problem.parameters, TRUTH)
     press = linearise(simulator(), observed(0), problem, here)
@@ -193,7 +185,7 @@ def test_the_skin_alone_tells_nothing_of_youngs_modulus_and_the_force_a_few_perc
 
 
 @pytest.mark.parametrize("skin_loss", [POINTS, CHAMFER])
-def test_one_press_is_fitted_from_far_away(skin_loss: str) -> None:
+def test_one_press_is_fitted_from_far_away(skin_loss):
     problem = problem_of(skin_loss=skin_loss)
     observation = observed(2)
     start = linearise(simulator(), observation, problem, problem.centre())
@@ -209,7 +201,7 @@ def test_one_press_is_fitted_from_far_away(skin_loss: str) -> None:
 
 
 @pytest.mark.parametrize("beyond", [0.0, 0.3])
-def test_differences_at_a_bound_are_taken_where_the_model_answers(beyond: float) -> None:
+def test_differences_at_a_bound_are_taken_where_the_model_answers(beyond):
     (parameter,) = chosen_parameters(("nu",))
     start = replace(values_of(SENSOR), poisson_ratio=parameter.bounds[0])
     problem = FitProblem((parameter,), start, NOISE, POINTS)
@@ -223,41 +215,23 @@ def test_differences_at_a_bound_are_taken_where_the_model_answers(beyond: float)
     assert ratio == pytest.approx(np.ones((1, 1)), rel=0.5)
 
 
-def write_data_set(directory: Path, seeds: range, values: GelValues = TRUTH) -> None:
-    records = []
-    for seed in seeds:
-        press = observed(seed, values).press
-        stamp_ns = np.round(1e9 * press.stamp_s).astype(np.int64)
-        assert press.skin_position_m is not None
-        assert press.force_n is not None
-        trajectory = Trajectory(
-            pose=PoseChannel(
-                stamp_ns,
-                np.stack([p.position_m for p in press.poses]),
-                np.stack([p.quaternion_xyzw for p in press.poses]),
-            ),
-            wrench=WrenchChannel(stamp_ns, press.force_n, np.zeros_like(press.force_n)),
-            skin=SkinChannel(stamp_ns, press.skin_position_m.astype(np.float32)),
-        )
-        write_trajectory(directory / "bags" / press.name, trajectory)
-        records.append({"bag": f"bags/{press.name}", "indenter": "ball", "frames": len(stamp_ns)})
-    records[-1]["indenter"] = "bell"
-    (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
-    np.savez(
-        directory / "skin_mesh.npz",
-        rest_position_m=SKIN_MESH.rest_position_m,
-        triangles=SKIN_MESH.triangles,
-        on_base=SKIN_MESH.on_base,
+def trajectory(press: Press) -> Trajectory:
+    stamp_ns = np.round(1e9 * press.stamp_s).astype(np.int64)
+    return Trajectory(
+        pose=PoseChannel.of(stamp_ns, press.poses),
+        wrench=WrenchChannel(stamp_ns, press.force_n, np.zeros_like(press.force_n)),
+        skin=SkinChannel(stamp_ns, press.skin_position_m.astype(np.float32)),
+        name=press.name,
     )
-    (directory / "indenters").mkdir()
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.004)
-    ball.apply_translation([0.0, 0.0, 0.004])
-    ball.export(directory / "indenters" / "ball.stl")
 
 
-def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path: Path) -> None:
+def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path):
     data, sensor, out = tmp_path / "data", tmp_path / "before.yaml", tmp_path / "fitted.yaml"
-    write_data_set(data, range(3))
+    presses = [(trajectory(observed(seed).press), replace(BALL, name="ball")) for seed in range(3)]
+    write_data_set(data, presses, skin=SKIN_MESH, indenter_step_m=0.6e-3)
+    index = data / "dataset.yaml"
+    before, _, last = index.read_text().rpartition("indenter: ball")
+    index.write_text(f"{before}indenter: bell{last}")
     write_sensor(sensor, SENSOR, "coarse")
     command = ["calibrate", "--data", str(data), "--sensor", str(sensor), "--out", str(out)]
     command += ["--hold-out", "0", "--noise-skin-discretisation-m", "0"]

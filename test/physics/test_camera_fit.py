@@ -158,7 +158,7 @@ def test_shallow_presses_are_refused(filmed, stated):
         ),
     )
     with pytest.raises(ValueError, match="press deeper"):
-        fit_camera(shallow, stated, lens=LENS, lights=LIGHTS)
+        fit_camera(shallow, stated)
 
 
 @pytest.mark.parametrize(

@@ -67,8 +67,6 @@ def recorded(sensor: SensorSpecification, ball: Indenter, name: str) -> Trajecto
 def off(true: Trajectory) -> Trajectory:
     """Return a recording whose skin lies 0.1 mm farther out, and whose images are brighter by three
     grey levels."""
-    assert true.skin is not None
-    assert true.image is not None
     triangles = TactileSensor(PAD, indenter=BALL).skin.triangles
     out_m = [p + OUT_M * vertex_normals(p.astype(float), triangles) for p in true.skin.position_m]
     brighter = true.image.pixels + np.uint8(LOUDER)
@@ -81,7 +79,7 @@ def off(true: Trajectory) -> Trajectory:
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory):
     """Return a data set, with the sensor's file `pad.yaml` next to it."""
     folder = tmp_path_factory.mktemp("evaluated")
     stiff = replace(PAD.material, youngs_modulus_pa=STIFFER * PAD.material.youngs_modulus_pa)
@@ -108,8 +106,8 @@ def evaluated(data: Path, out: Path, trajectories: Sequence[str]) -> dict[str, A
 
 
 def test_errors_are_zero_on_own_recordings_and_right_on_recordings_that_are_off(
-    tmp_path: Path, data: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, data, capsys
+):
     errors = evaluated(data, tmp_path, ["same_0", "off_0", "poses_0"])
 
     same = errors["indenters"][BALL.name]
@@ -143,11 +141,9 @@ def test_errors_are_zero_on_own_recordings_and_right_on_recordings_that_are_off(
     assert "off_0, frame" in (tmp_path / "report.md").read_text()
 
 
-def test_a_pad_is_pressed_where_the_face_of_its_data_is(tmp_path: Path) -> None:
+def test_a_pad_is_pressed_where_the_face_of_its_data_is(tmp_path):
     raised_m = np.array([0.0, 0.0, 0.4e-3])
     true = recorded(PAD, BALL, "raised_0")
-    assert true.pose is not None
-    assert true.skin is not None
     raised = replace(
         true,
         pose=replace(true.pose, position_m=true.pose.position_m + raised_m),
@@ -182,9 +178,7 @@ def test_a_pad_is_pressed_where_the_face_of_its_data_is(tmp_path: Path) -> None:
     np.testing.assert_allclose(heights_m, true.pose.position_m[:, 2], atol=1e-12)
 
 
-def test_one_channel_alone_is_judged_and_the_others_are_said_to_be_missing(
-    tmp_path: Path, data: Path
-) -> None:
+def test_one_channel_alone_is_judged_and_the_others_are_said_to_be_missing(tmp_path, data):
     errors = evaluated(data, tmp_path, ["image_0"])
     found = {name: errors["all"][name] for name in ("skin", "force", "image")}
     assert found.pop("image")["frames"] == JUDGED
@@ -194,9 +188,7 @@ def test_one_channel_alone_is_judged_and_the_others_are_said_to_be_missing(
     assert page.count("data:image/png") == 3
 
 
-def test_clouds_without_a_mesh_are_not_compared_and_the_force_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_clouds_without_a_mesh_are_not_compared_and_the_force_is(tmp_path, capsys):
     true = replace(recorded(PAD, BALL, "force_0"), image=None)
     bare = replace(true, wrench=None, name="cloud_0")
     write_data_set(tmp_path / "data", [(true, BALL), (bare, BALL)])
@@ -216,13 +208,7 @@ def test_clouds_without_a_mesh_are_not_compared_and_the_force_is(
         (["--trajectories", "same_1"], "has no trajectory same_1; it has force_0, image_0"),
     ],
 )
-def test_data_without_a_frame_to_judge_are_refused(
-    tmp_path: Path,
-    data: Path,
-    options: list[str],
-    reason: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_data_without_a_frame_to_judge_are_refused(tmp_path, data, options, reason, capsys):
     command = ["evaluate", "--data", str(data), "--sensor", str(data.parent / "pad.yaml")]
     assert main([*command, "--out", str(tmp_path / "out"), "--workers", "1", *options]) == 1
     (line,) = [

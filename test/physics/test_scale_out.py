@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,7 +39,7 @@ SMALL = replace(
 
 
 @pytest.fixture(scope="module")
-def on_ray() -> Iterator[Crew]:
+def on_ray():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
         for name, value in (SETTINGS | ON_THIS_MACHINE).items():
@@ -80,7 +79,7 @@ def solved(folder: Path, crew: Crew) -> list[SimulatedPress]:
     return [press for press in found if isinstance(press, SimulatedPress)]
 
 
-def test_presses_are_the_same_to_the_last_bit(tmp_path: Path, on_ray: Crew) -> None:
+def test_presses_are_the_same_to_the_last_bit(tmp_path, on_ray):
     alone = solved(tmp_path / "alone", 1)
     assert len(alone) == 2
     assert np.ptp([press.force_n for press in alone]) > 0.0
@@ -90,7 +89,7 @@ def test_presses_are_the_same_to_the_last_bit(tmp_path: Path, on_ray: Crew) -> N
             np.testing.assert_array_equal(press.force_n, other.force_n)
 
 
-def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, on_ray: Crew) -> None:
+def test_episodes_are_the_same_to_the_last_bit(tmp_path, on_ray):
     plan = Plan("coarse", ("line",), episode_count=2, frame_count=10, look_count=1)
     ball = load_indenter("sphere_4mm")
     done: list[tuple[int, int]] = []

@@ -6,9 +6,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -57,7 +55,7 @@ def problem_of(*names: str, with_offset: bool = False) -> FitProblem:
     return FitProblem(chosen_parameters(names), values_of(SENSOR), LossNoise(), POINTS, with_offset)
 
 
-def test_parameters_go_by_their_names_and_stay_within_their_bounds(tmp_path: Path) -> None:
+def test_parameters_go_by_their_names_and_stay_within_their_bounds(tmp_path):
     values = values_of(SENSOR)
     parameters = chosen_parameters(["E", "nu", "friction", "contact_stiffness", "c30", "thickness"])
     far = with_coordinates(values, parameters, coordinates(parameters, values) + 100.0)
@@ -77,7 +75,7 @@ def test_parameters_go_by_their_names_and_stay_within_their_bounds(tmp_path: Pat
     assert path.read_text().startswith("# one\n# two\n")
 
 
-def test_a_law_with_a_second_invariant_is_refused() -> None:
+def test_a_law_with_a_second_invariant_is_refused():
     material = replace(
         SENSOR.material, law="mooney_rivlin", c10_pa=1e4, c01_pa=1e4, bulk_modulus_pa=1e6
     )
@@ -96,7 +94,7 @@ def one_frame_press(skin_m: Array, force_n: Array) -> Press:
     )
 
 
-def test_a_shift_is_weighed_by_the_noise_point_to_point() -> None:
+def test_a_shift_is_weighed_by_the_noise_point_to_point():
     noise = LossNoise(skin_discretisation_m=0.0)
     rest = SKIN_MESH.rest_position_m
     press = one_frame_press(rest, np.array([0.0, 0.0, 2.0]))
@@ -109,7 +107,7 @@ def test_a_shift_is_weighed_by_the_noise_point_to_point() -> None:
     assert found[FORCE] == pytest.approx([0.0, 0.0, 0.12 / np.hypot(0.015, 0.12)])
 
 
-def test_chamfer_needs_no_order_of_the_points() -> None:
+def test_chamfer_needs_no_order_of_the_points():
     # Points that err together tell no more than one.
     noise = LossNoise(skin_m=1e-9)
     meshes = dome_skin(0.01575, 1e-3), SKIN_MESH
@@ -128,7 +126,7 @@ def test_chamfer_needs_no_order_of_the_points() -> None:
     assert found[0] == pytest.approx(expected)
 
 
-def test_an_offset_moves_along_the_indenters_axes() -> None:
+def test_an_offset_moves_along_the_indenters_axes():
     quarter = Pose(np.array([1.0, 2.0, 3.0]), [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
     moved = offset_pose(quarter, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.02]))
     assert moved.position_m == pytest.approx([1.0, 2.1, 3.0])
@@ -150,7 +148,7 @@ def linear_press(
     )
 
 
-def test_a_press_own_offset_is_eliminated_as_if_all_were_solved_together() -> None:
+def test_a_press_own_offset_is_eliminated_as_if_all_were_solved_together():
     problem = problem_of("E", "nu", with_offset=True)
     random = np.random.default_rng(2)
     scale = 1.0 / np.concatenate([[0.3, 0.3], problem.noise.offset()])
@@ -177,7 +175,7 @@ def test_a_press_own_offset_is_eliminated_as_if_all_were_solved_together() -> No
         )
 
 
-def test_intervals_of_linear_presses_cover_the_truth_as_often_as_they_say() -> None:
+def test_intervals_of_linear_presses_cover_the_truth_as_often_as_they_say():
     """Presses that each have an error of their own, which no stated noise covers."""
     problem = problem_of("E", "nu")
     random = np.random.default_rng(3)
@@ -201,7 +199,7 @@ def test_intervals_of_linear_presses_cover_the_truth_as_often_as_they_say() -> N
     assert np.all(share[0] < 1.0)
 
 
-def test_the_interval_of_one_press_is_that_of_its_information() -> None:
+def test_the_interval_of_one_press_is_that_of_its_information():
     problem = problem_of("E", "nu")
     random = np.random.default_rng(6)
     jacobian = random.normal(size=(40, 2)) * [4.0, 2.0]
@@ -219,7 +217,7 @@ def test_the_interval_of_one_press_is_that_of_its_information() -> None:
         assert found.high - found.low == pytest.approx(2.0 * half, rel=1e-3)
 
 
-def test_forces_show_the_modulus_that_scales_them() -> None:
+def test_forces_show_the_modulus_that_scales_them():
     problem = problem_of("E")
     simulated = np.array([0.5, 1.0, 2.0])
     residual = {FORCE: simulated - 3.0 * simulated}
@@ -232,16 +230,14 @@ def test_forces_show_the_modulus_that_scales_them() -> None:
 
 @pytest.mark.fault("calibrate", "a fit that ends at a Young's modulus that no gel has")
 @pytest.mark.parametrize("modulus_pa", [1717.0, 2.9e7])
-def test_a_modulus_that_no_gel_has_is_refused(
-    modulus_pa: float, answered: Callable[..., None]
-) -> None:
+def test_a_modulus_that_no_gel_has_is_refused(modulus_pa, answered):
     with pytest.raises(ValueError, match=r"expected 2e\+03 to 2e\+07 Pa, as gels have") as refused:
         check_modulus(modulus_pa, "the fit ends at")
     answered(refused.value, what=f"a fit that ends at {modulus_pa:.4g} Pa")
     check_modulus(2.0e5, "the fit ends at")
 
 
-def test_a_value_at_the_end_of_what_is_searched_is_no_estimate() -> None:
+def test_a_value_at_the_end_of_what_is_searched_is_no_estimate():
     (nu,) = chosen_parameters(["nu"])
     assert nu.bound_of(0.4999) == 0.4999
     assert nu.bound_of(0.47) is None
@@ -275,9 +271,7 @@ def observed_press(
 
 
 @pytest.mark.fault("calibrate", "data that do not identify what is asked for")
-def test_each_reason_why_data_identify_nothing_has_its_own_words(
-    answered: Callable[..., None],
-) -> None:
+def test_each_reason_why_data_identify_nothing_has_its_own_words(answered):
     deep, both = observed_press(DEEP), (POINTS, FORCE)
     cases = {
         "E without force": ("E", observed_press(DEEP, force_n=None), both, "--wrench-topic"),
@@ -320,7 +314,7 @@ def test_each_reason_why_data_identify_nothing_has_its_own_words(
         assert words in found["friction"]
 
 
-def test_a_joint_step_ends_at_the_bounds_and_the_others_go_where_that_leaves_them() -> None:
+def test_a_joint_step_ends_at_the_bounds_and_the_others_go_where_that_leaves_them():
     problem = problem_of("E", "c20", "c30")
     random = np.random.default_rng(4)
     here = problem.centre()
@@ -346,7 +340,7 @@ def test_a_joint_step_ends_at_the_bounds_and_the_others_go_where_that_leaves_the
     assert np.all((found.low < found.point) & (found.point < found.high))
 
 
-def test_quadratics_about_different_points_combine_as_about_one() -> None:
+def test_quadratics_about_different_points_combine_as_about_one():
     problem = problem_of("E", "nu")
     random = np.random.default_rng(5)
     here = problem.centre()

@@ -6,9 +6,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ from dotsim_ros.calibration.report import figures, page_of, summary_lines, write
 from dotsim_ros.io.page import as_markdown, images_of
 
 
-def test_the_page_needs_nothing_beside_it(tmp_path: Path) -> None:
+def test_the_page_needs_nothing_beside_it(tmp_path):
     path = write_report(tmp_path, calibration(), seed=3)
     text = path.read_text(encoding="utf-8")
     assert text.count("<img ") == text.count('src="data:image/png;base64,') == 5
@@ -29,9 +27,7 @@ def test_the_page_needs_nothing_beside_it(tmp_path: Path) -> None:
 
 @pytest.mark.fault("calibrate", "a force in another unit")
 @pytest.mark.parametrize(("unit", "newtons"), [("grams", 9.80665e-3), ("millinewtons", 1e-3)])
-def test_a_force_in_another_unit_is_said_where_the_modulus_is_far_off(
-    unit: str, newtons: float, answered: Callable[..., None]
-) -> None:
+def test_a_force_in_another_unit_is_said_where_the_modulus_is_far_off(unit, newtons, answered):
     found = calibration()
     start_pa = found.problem.start.youngs_modulus_pa
     # Of a gel that is a tenth stiffer than its file says.
@@ -43,7 +39,7 @@ def test_a_force_in_another_unit_is_said_where_the_modulus_is_far_off(
     assert not any("times that" in line for line in summary_lines(found))
 
 
-def test_the_page_says_what_the_figures_hold() -> None:
+def test_the_page_says_what_the_figures_hold():
     found = calibration(4)
     numbers = figures(found, seed=0)
     page = page_of(found, numbers)

@@ -188,13 +188,6 @@ def test_the_camera_counts_but_not_its_resolution(made, camera):
         open_network(made[0], turned)
 
 
-def test_another_version_is_refused(folder, camera):
-    weights, card = contents(folder)
-    write_weights(folder / WEIGHTS, weights, replace(card, version=FORMAT + 1))
-    with pytest.raises(ValueError, match=f"version {FORMAT + 1}, expected {FORMAT}"):
-        open_network(folder, camera)
-
-
 def contents(directory):
     from safetensors.numpy import load_file
 
@@ -207,39 +200,42 @@ def spoil(path):
     path.write_bytes(content)
 
 
-@pytest.mark.parametrize("name", [WEIGHTS, GRAPH])
-def test_corrupt_files_are_refused(folder, camera, name):
-    spoil(folder / name)
-    with pytest.raises(ValueError, match=f"{name} is corrupt"):
-        open_network(folder, camera)
+def of_another_version(folder):
+    weights, card = contents(folder)
+    write_weights(folder / WEIGHTS, weights, replace(card, version=FORMAT + 1))
 
 
-def test_weights_of_another_network_are_refused(folder, camera):
+def with_other_weights(folder):
     weights, card = contents(folder)
     first = sorted(weights)[0]
     weights[first] = weights[first] + 1.0
     other = replace(card, weights_sha256=weights_hash(weights), graph_sha256="0" * 64)
     write_weights(folder / WEIGHTS, weights, other)
-    with pytest.raises(ValueError, match=f"{GRAPH} is corrupt or belongs to other weights"):
-        open_network(folder, camera)
 
 
-def test_a_file_without_a_card_is_refused(folder, camera):
+def with_card(folder, **changes):
     from safetensors.numpy import save_file
 
     weights, card = contents(folder)
-    save_file(weights, folder / WEIGHTS)
-    with pytest.raises(ValueError, match="no card that can be read"):
-        open_network(folder, camera)
-    record = json.loads(card.text()) | {"colour": "red"}
-    save_file(weights, folder / WEIGHTS, metadata={CARD_KEY: json.dumps(record)})
-    with pytest.raises(ValueError, match="its card has the entries"):
-        open_network(folder, camera)
+    record = {CARD_KEY: json.dumps(json.loads(card.text()) | changes)} if changes else None
+    save_file(weights, folder / WEIGHTS, metadata=record)
 
 
-def test_a_missing_file_is_named(folder, camera):
-    (folder / GRAPH).unlink()
-    with pytest.raises(FileNotFoundError, match=f"no {GRAPH}; make one with dotsim_ros train"):
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (of_another_version, f"version {FORMAT + 1}, expected {FORMAT}"),
+        (lambda folder: spoil(folder / WEIGHTS), f"{WEIGHTS} is corrupt"),
+        (lambda folder: spoil(folder / GRAPH), f"{GRAPH} is corrupt"),
+        (with_other_weights, f"{GRAPH} is corrupt or belongs to other weights"),
+        (with_card, "no card that can be read"),
+        (lambda folder: with_card(folder, colour="red"), "its card has the entries"),
+        (lambda folder: (folder / GRAPH).unlink(), f"no {GRAPH}; make one with dotsim_ros train"),
+    ],
+)
+def test_what_is_no_whole_network_is_refused(folder, camera, change, reason):
+    change(folder)
+    with pytest.raises((ValueError, FileNotFoundError), match=reason):
         open_network(folder, camera)
 
 

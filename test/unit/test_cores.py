@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from importlib import import_module
 
 import pytest
@@ -40,7 +39,7 @@ def threads() -> set[int]:
 
 
 @pytest.fixture
-def _two_threads() -> Iterator[None]:
+def _two_threads():
     # Tests run with one, which would show nothing.
     with threadpool_limits(limits=2, user_api="blas"):
         assert threads() == {2}
@@ -48,7 +47,7 @@ def _two_threads() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("_two_threads")
-def test_the_gel_is_solved_on_one_thread_and_the_number_of_before_comes_back() -> None:
+def test_the_gel_is_solved_on_one_thread_and_the_number_of_before_comes_back():
     sensor = TactileSensor.load("flat_pad", indenter="sphere_4mm")
     assert threads() == {2}
     seen = []
@@ -67,7 +66,7 @@ def test_the_gel_is_solved_on_one_thread_and_the_number_of_before_comes_back() -
 
 
 @pytest.mark.usefixtures("_two_threads")
-def test_blocks_of_several_threads_may_overlap() -> None:
+def test_blocks_of_several_threads_may_overlap():
     begun, end = threading.Event(), threading.Event()
 
     @single_threaded()
@@ -87,14 +86,14 @@ def test_blocks_of_several_threads_may_overlap() -> None:
 
 
 @pytest.mark.usefixtures("_two_threads")
-def test_a_block_that_fails_gives_the_threads_back() -> None:
+def test_a_block_that_fails_gives_the_threads_back():
     with pytest.raises(ValueError, match="wrong"), single_threaded():
         raise ValueError("wrong")
     assert threads() == {2}
 
 
 @pytest.mark.skipif(available_core_count() < 2, reason="one core has one thread anyway")
-def test_a_command_and_what_it_starts_have_one_thread() -> None:
+def test_a_command_and_what_it_starts_have_one_thread():
     program = (
         "from dotsim_ros.cli import calibrate, main\n"
         "def run(*, data: str, out: str):\n"
@@ -118,14 +117,14 @@ def test_a_command_and_what_it_starts_have_one_thread() -> None:
 
 
 @pytest.mark.usefixtures("_two_threads")
-def test_what_keeps_one_thread_for_good_keeps_it_where_a_block_is_open() -> None:
+def test_what_keeps_one_thread_for_good_keeps_it_where_a_block_is_open():
     with single_threaded():
         keep_single_threaded()
     assert threads() == {1}
 
 
 @pytest.mark.usefixtures("_two_threads")
-def test_workers_have_one_thread_each() -> None:
+def test_workers_have_one_thread_each():
     unset = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
     with pytest.MonkeyPatch.context() as patch:
         for name in set(os.environ) - set(unset):

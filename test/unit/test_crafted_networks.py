@@ -41,7 +41,7 @@ def contents(folder: Path) -> tuple[Card, Weights]:
 
 
 @pytest.fixture(scope="module")
-def shipped() -> dict[str, tuple[Card, Weights, bytes]]:
+def shipped():
     return {
         noun: (*contents(parameter_path(name)), (parameter_path(name) / GRAPH).read_bytes())
         for noun, name in SHIPPED.items()
@@ -55,6 +55,12 @@ def opened(noun: str, folder: Path) -> Any:
     return CompletionNetwork(folder, sensor="sensor_a", camera=camera)
 
 
+def write(folder: Path, weights: Weights, card: Card | str, graph: bytes) -> None:
+    text = card if isinstance(card, str) else json.dumps(card, indent=2)
+    save_file(weights, folder / WEIGHTS, {CARD_KEY: text})
+    (folder / GRAPH).write_bytes(graph)
+
+
 def refusal(noun: str, folder: Path) -> str:
     with pytest.raises(ValueError, match=r"again|expected") as caught:
         opened(noun, folder)
@@ -65,9 +71,7 @@ def refusal(noun: str, folder: Path) -> str:
     return words
 
 
-def test_the_shipped_ones_are_taken_also_where_they_are_written_anew(
-    shipped: Any, tmp_path: Path
-) -> None:
+def test_the_shipped_ones_are_taken_also_where_they_are_written_anew(shipped, tmp_path):
     for noun, name in SHIPPED.items():
         opened(noun, parameter_path(name))
         (tmp_path / noun).mkdir()
@@ -98,13 +102,10 @@ CARDS: dict[str, tuple[str, str, Any]] = {
 
 @pytest.mark.fault("networks and cards", "a card of nonsense")
 @pytest.mark.parametrize("what", CARDS)
-def test_a_card_of_nonsense_is_refused(
-    shipped: Any, tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_a_card_of_nonsense_is_refused(shipped, tmp_path, what, answered):
     noun, entry, value = CARDS[what]
     card, weights, graph = shipped[noun]
-    save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: json.dumps({**card, entry: value}, indent=2)})
-    (tmp_path / GRAPH).write_bytes(graph)
+    write(tmp_path, weights, {**card, entry: value}, graph)
     answered(refusal(noun, tmp_path), what=what)
 
 
@@ -113,12 +114,9 @@ TEXTS = {"no JSON": "{", "null": "null", "a list": "[1]", "3,000 brackets": "[" 
 
 @pytest.mark.fault("networks and cards", "a card that is none")
 @pytest.mark.parametrize("what", TEXTS)
-def test_a_card_that_is_none_is_refused(
-    shipped: Any, tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_a_card_that_is_none_is_refused(shipped, tmp_path, what, answered):
     _, weights, graph = shipped["network"]
-    save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: TEXTS[what]})
-    (tmp_path / GRAPH).write_bytes(graph)
+    write(tmp_path, weights, TEXTS[what], graph)
     answered(refusal("network", tmp_path), what=f"the card in a network's weights is {what}")
 
 
@@ -154,22 +152,16 @@ STATISTICS = {
 
 @pytest.mark.fault("networks and cards", "weights of nonsense")
 @pytest.mark.parametrize("what", STATISTICS)
-def test_weights_of_nonsense_are_refused(
-    shipped: Any, tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_weights_of_nonsense_are_refused(shipped, tmp_path, what, answered):
     card, weights, graph = shipped["policy"]
     weights = dict(weights)
     STATISTICS[what](weights)
-    card = {**card, "weights_sha256": weights_hash(weights)}
-    save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: json.dumps(card, indent=2)})
-    (tmp_path / GRAPH).write_bytes(graph)
+    write(tmp_path, weights, {**card, "weights_sha256": weights_hash(weights)}, graph)
     answered(refusal("policy", tmp_path), what=f"a policy: {what}")
 
 
 @pytest.mark.fault("networks and cards", "weights that promise more than the file holds")
-def test_weights_that_promise_more_than_the_file_holds_are_refused(
-    shipped: Any, tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_weights_that_promise_more_than_the_file_holds_are_refused(shipped, tmp_path, answered):
     header = json.dumps(
         {"a": {"dtype": "F32", "shape": [10**12], "data_offsets": [0, 4 * 10**12]}}
     ).encode()
@@ -181,9 +173,7 @@ def test_weights_that_promise_more_than_the_file_holds_are_refused(
 
 
 @pytest.mark.fault("networks and cards", "weights of a type that is none of NumPy's")
-def test_weights_of_a_type_that_is_none_of_numpys_are_refused(
-    shipped: Any, tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_weights_of_a_type_that_is_none_of_numpys_are_refused(shipped, tmp_path, answered):
     header = json.dumps({"a": {"dtype": "F8_E4M3", "shape": [2], "data_offsets": [0, 2]}}).encode()
     (tmp_path / WEIGHTS).write_bytes(len(header).to_bytes(8, "little") + header + bytes(2))
     (tmp_path / GRAPH).write_bytes(shipped["network"][2])
@@ -191,9 +181,7 @@ def test_weights_of_a_type_that_is_none_of_numpys_are_refused(
 
 
 @pytest.mark.fault("networks and cards", "a file of weights of 3 GB")
-def test_a_file_that_is_too_large_is_not_read(
-    shipped: Any, tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_a_file_that_is_too_large_is_not_read(shipped, tmp_path, answered):
     # A hole in the file: it takes no place.
     with (tmp_path / WEIGHTS).open("wb") as stream:
         stream.truncate(3_000_000_000)
@@ -206,8 +194,7 @@ def write_with_graph(shipped: Any, noun: str, folder: Path, graph: bytes) -> Non
     card, weights, _ = shipped[noun]
     card = {**card, "graph_sha256": hashlib.sha256(graph).hexdigest()}
     card["weights_sha256"] = weights_hash(weights)
-    save_file(weights, folder / WEIGHTS, {CARD_KEY: json.dumps(card, indent=2)})
-    (folder / GRAPH).write_bytes(graph)
+    write(folder, weights, card, graph)
 
 
 def renamed_weights(graph: bytes) -> bytes:
@@ -230,9 +217,7 @@ GRAPHS: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
 
 @pytest.mark.fault("networks and cards", "a graph of nonsense")
 @pytest.mark.parametrize("what", GRAPHS)
-def test_a_graph_of_nonsense_is_refused(
-    shipped: Any, tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_a_graph_of_nonsense_is_refused(shipped, tmp_path, what, answered):
     noun, spoil = GRAPHS[what]
     write_with_graph(shipped, noun, tmp_path, spoil(shipped[noun][2]))
     words = refusal(noun, tmp_path)
@@ -242,15 +227,10 @@ def test_a_graph_of_nonsense_is_refused(
 
 
 @pytest.mark.fault("networks and cards", "a network's graph is another's")
-def test_a_graph_of_other_inputs_is_refused(
-    shipped: Any, tmp_path: Path, answered: Callable[..., None]
-) -> None:
-    card, weights, _ = shipped["network"]
-    graph = shipped["network"][2]
+def test_a_graph_of_other_inputs_is_refused(shipped, tmp_path, answered):
+    card, weights, graph = shipped["network"]
     # The card is believed by its hashes: the sizes are checked against the graph.
-    card = {**card, "width": 160, "height": 120}
-    save_file(weights, tmp_path / WEIGHTS, {CARD_KEY: json.dumps(card, indent=2)})
-    (tmp_path / GRAPH).write_bytes(graph)
+    write(tmp_path, weights, {**card, "width": 160, "height": 120}, graph)
     answered(refusal("network", tmp_path))
 
 
@@ -263,9 +243,7 @@ IMAGES = {
 
 @pytest.mark.fault("networks and cards", "an idle image of nonsense")
 @pytest.mark.parametrize("what", IMAGES)
-def test_an_idle_image_of_nonsense_is_refused(
-    tmp_path: Path, what: str, answered: Callable[..., None]
-) -> None:
+def test_an_idle_image_of_nonsense_is_refused(tmp_path, what, answered):
     import zlib
 
     content = IMAGES[what]

@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,15 +40,13 @@ class Frame:
 
 def recorded(name: str, **changes: object) -> Trajectory:
     frames = [Frame(0.04 * number) for number in (1, 2, 3)]
-    return replace(trajectory_of_frames(frames, name=name), **changes)  # type: ignore[arg-type]
+    return replace(trajectory_of_frames(frames, name=name), **changes)
 
 
-def test_frames_become_the_channels_of_a_trajectory() -> None:
+def test_frames_become_the_channels_of_a_trajectory():
     frames = [Frame(0.04), Frame(0.08, Pose(np.array([0.001, 0.0, 0.014])))]
     made = trajectory_of_frames(frames, name="press")
     assert set(made.channels()) == {"pose", "wrench", "skin", "image"}
-    assert made.pose is not None
-    assert made.wrench is not None
     assert made.pose.stamp_ns.tolist() == [40_000_000, 80_000_000]
     assert made.pose.position_m[1].tolist() == [0.001, 0.0, 0.014]
     assert made.wrench.force_n.tolist() == [[0.1, 0.0, 2.0]] * 2
@@ -64,14 +60,12 @@ def test_frames_become_the_channels_of_a_trajectory() -> None:
         ([Frame(0.04)], ("depth",), "channels are depth, expected of pose, wrench, skin, image"),
     ],
 )
-def test_frames_that_make_no_trajectory_are_refused(
-    frames: list[Frame], channels: tuple[str, ...], reason: str
-) -> None:
+def test_frames_that_make_no_trajectory_are_refused(frames, channels, reason):
     with pytest.raises(ValueError, match=reason):
         trajectory_of_frames(frames, name="press", channels=channels)
 
 
-def test_a_written_data_set_is_read_back(tmp_path: Path) -> None:
+def test_a_written_data_set_is_read_back(tmp_path):
     presses = [(recorded("first"), BALL), (recorded("second.5", image=None), BALL)]
     idle = np.full((6, 8, 3), 40, np.uint8)
     written = write_data_set(tmp_path / "data", presses, skin=SKIN, idle_images=[idle, idle])
@@ -88,10 +82,10 @@ def test_a_written_data_set_is_read_back(tmp_path: Path) -> None:
     assert np.array_equal(found.skin_mesh().rest_position_m, SKIN.rest_position_m)
     assert len(found.idle_images()) == 2
     mesh = load_indenter(found.indenter_file("sphere"))
-    assert np.abs(BALL.signed_distance(mesh.mesh.vertices_m)).max() < 1e-6  # type: ignore[union-attr]
+    assert np.abs(BALL.signed_distance(mesh.mesh.vertices_m)).max() < 1e-6
 
 
-def test_nothing_is_left_of_a_data_set_that_could_not_be_written(tmp_path: Path) -> None:
+def test_nothing_is_left_of_a_data_set_that_could_not_be_written(tmp_path):
     twice = [(recorded("one"), BALL), (recorded("one"), BALL)]
     with pytest.raises(ValueError, match="two trajectories are named 'one'"):
         write_data_set(tmp_path / "data", twice, skin=SKIN)
@@ -103,7 +97,7 @@ def test_nothing_is_left_of_a_data_set_that_could_not_be_written(tmp_path: Path)
         write_data_set(tmp_path / "data", [(recorded("one"), BALL)])
 
 
-def test_a_data_set_grows_and_a_trajectory_is_replaced(tmp_path: Path) -> None:
+def test_a_data_set_grows_and_a_trajectory_is_replaced(tmp_path):
     DataSetWriter(tmp_path, SKIN).add(recorded("one"), BALL, {"site": 1}, failure="stopped")
     assert not DataSetWriter(tmp_path, SKIN).holds("one", {})
     writer = DataSetWriter(tmp_path, SKIN)
@@ -116,7 +110,7 @@ def test_a_data_set_grows_and_a_trajectory_is_replaced(tmp_path: Path) -> None:
         DataSetWriter(tmp_path, dome_skin(0.01575, 3.0e-3))
 
 
-def test_names_and_points_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+def test_names_and_points_that_do_not_fit_are_refused(tmp_path):
     writer = DataSetWriter(tmp_path, SKIN)
     for name, indenter, reason in (
         ("", BALL, "the trajectory has the name '', expected one that a file can have"),
@@ -131,7 +125,7 @@ def test_names_and_points_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         DataSetWriter(tmp_path / "other", other).add(recorded("one"), BALL)
 
 
-def test_another_shape_of_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
+def test_another_shape_of_a_name_that_is_taken_is_refused(tmp_path):
     edge, other = (box_edge([size, 0.01, 0.01], 0.0003) for size in (0.01, 0.008))
     first, later = DataSetWriter(tmp_path, SKIN), DataSetWriter(tmp_path, SKIN)
     first.add(recorded("one"), edge)
@@ -143,9 +137,7 @@ def test_another_shape_of_a_name_that_is_taken_is_refused(tmp_path: Path) -> Non
 
 
 @pytest.mark.fault("bags and data sets", "a bag to write has the name of one that no index lists")
-def test_a_bag_that_the_index_does_not_list_is_kept(
-    tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_a_bag_that_the_index_does_not_list_is_kept(tmp_path, answered):
     own = tmp_path / "bags" / "press"
     own.mkdir(parents=True)
     (own / "press.mcap").write_bytes(b"of the user")
@@ -161,7 +153,7 @@ def test_a_bag_that_the_index_does_not_list_is_kept(
     answered(f"bags/ holds {' and '.join(bags)}; press.kept/press.mcap is {kept.decode()!r}")
 
 
-def test_a_trajectory_that_cannot_be_written_leaves_the_one_before(tmp_path: Path) -> None:
+def test_a_trajectory_that_cannot_be_written_leaves_the_one_before(tmp_path):
     writer = DataSetWriter(tmp_path, SKIN)
     writer.add(recorded("press"), BALL)
     pose = recorded("press").pose

@@ -55,9 +55,7 @@ YAML_FAULTS = {
 
 @pytest.mark.fault("sensor and YAML files", "")
 @pytest.mark.parametrize("what", YAML_FAULTS)
-def test_yaml_is_refused_in_one_line_with_its_place(
-    what: str, tmp_path: Path, answered: Answered
-) -> None:
+def test_yaml_is_refused_in_one_line_with_its_place(what, tmp_path, answered):
     text, expected = YAML_FAULTS[what]
     path = tmp_path / "sensor.yaml"
     path.write_text(text, encoding="utf-8")
@@ -76,7 +74,7 @@ def test_yaml_is_refused_in_one_line_with_its_place(
 
 
 @pytest.mark.fault("sensor and YAML files", "a file that is not in UTF-8")
-def test_text_in_another_encoding(tmp_path: Path, answered: Answered) -> None:
+def test_text_in_another_encoding(tmp_path, answered):
     path = tmp_path / "sensor.yaml"
     path.write_bytes("name: Fühler".encode("latin-1"))
     for read in (load_sensor, load_indenter, read_yaml, read_json):
@@ -86,7 +84,7 @@ def test_text_in_another_encoding(tmp_path: Path, answered: Answered) -> None:
 
 
 @pytest.mark.fault("sensor and YAML files", "a file of 2 MB")
-def test_large_file(tmp_path: Path, answered: Answered) -> None:
+def test_large_file(tmp_path, answered):
     path = tmp_path / "sensor.yaml"
     path.write_text("# " + 2_000_000 * "x")
     with pytest.raises(ValueError, match="larger than the 1000000 bytes") as refused:
@@ -95,7 +93,7 @@ def test_large_file(tmp_path: Path, answered: Answered) -> None:
 
 
 @pytest.mark.fault("sensor and YAML files", "a folder in place of a file")
-def test_folder(tmp_path: Path, answered: Answered) -> None:
+def test_folder(tmp_path, answered):
     path = tmp_path / "sensor.yaml"
     path.mkdir()
     with pytest.raises(ValueError, match="is a folder, expected a file") as refused:
@@ -103,11 +101,11 @@ def test_folder(tmp_path: Path, answered: Answered) -> None:
     answered(refused.value)
 
 
-def test_yaml_is_read_as_version_1_2_reads_numbers() -> None:
+def test_yaml_is_read_as_version_1_2_reads_numbers():
     assert parse_yaml("{a: 3e5, b: 1.5E-3, c: -4}", "here") == {"a": 3e5, "b": 1.5e-3, "c": -4}
 
 
-def test_aliases_and_merges_within_bounds_are_read() -> None:
+def test_aliases_and_merges_within_bounds_are_read():
     text = "base: &base {a: 1}\nboth: [*base, *base]\nmore: {<<: *base, b: 2}\n"
     assert parse_yaml(text, "here") == {
         "base": {"a": 1},
@@ -126,7 +124,7 @@ def test_aliases_and_merges_within_bounds_are_read() -> None:
         ("9" * 10_000, "Exceeds the limit"),
     ],
 )
-def test_json_is_refused_in_one_line(text: str, expected: str) -> None:
+def test_json_is_refused_in_one_line(text, expected):
     with pytest.raises(ValueError, match=f"^card.json is no valid JSON: .*{expected}"):
         parse_json(text, "card.json")
 
@@ -230,7 +228,7 @@ ARRAY_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
 
 @pytest.mark.fault("bags and data sets", "")
 @pytest.mark.parametrize("what", ARRAY_FAULTS)
-def test_arrays_are_refused_in_one_line(what: str, tmp_path: Path, answered: Answered) -> None:
+def test_arrays_are_refused_in_one_line(what, tmp_path, answered):
     make, expected = ARRAY_FAULTS[what]
     (tmp_path / "press").mkdir()
     (tmp_path / "dataset.yaml").write_text("trajectories: [{bag: press}]")
@@ -247,7 +245,7 @@ def test_arrays_are_refused_in_one_line(what: str, tmp_path: Path, answered: Ans
 
 
 @pytest.mark.fault("bags and data sets", "a dataset.yaml that names one bag twice")
-def test_bag_named_twice(tmp_path: Path, answered: Answered) -> None:
+def test_bag_named_twice(tmp_path, answered):
     (tmp_path / "press").mkdir()
     (tmp_path / "dataset.yaml").write_text("trajectories: [{bag: press}, {bag: press}]")
     with pytest.raises(ValueError, match="two trajectories have the name 'press'") as refused:
@@ -255,7 +253,7 @@ def test_bag_named_twice(tmp_path: Path, answered: Answered) -> None:
     answered(refused.value)
 
 
-def test_whole_arrays_are_read(tmp_path: Path) -> None:
+def test_whole_arrays_are_read(tmp_path):
     path = tmp_path / "skin.npz"
     given = {**_tetrahedron(), "name": np.array("dome"), "none": np.zeros((0, 3))}
     for save in (np.savez, np.savez_compressed):
@@ -284,7 +282,7 @@ TABLE_FAULTS = {
 
 @pytest.mark.fault("bags and data sets", "")
 @pytest.mark.parametrize("what", TABLE_FAULTS)
-def test_tables_are_refused_with_their_line(what: str, tmp_path: Path, answered: Answered) -> None:
+def test_tables_are_refused_with_their_line(what, tmp_path, answered):
     text, expected = TABLE_FAULTS[what]
     (tmp_path / "table.csv").write_text(text)
     with pytest.raises(ValueError, match=r"table\.csv") as refused:
@@ -294,7 +292,7 @@ def test_tables_are_refused_with_their_line(what: str, tmp_path: Path, answered:
     answered(refused.value, what=what)
 
 
-def test_whole_tables_are_read(tmp_path: Path) -> None:
+def test_whole_tables_are_read(tmp_path):
     # As Excel writes it, with an index column without a name.
     (tmp_path / "table.csv").write_bytes(
         b'\xef\xbb\xbf,x_mm, note\r\n0, 1e3 ,"a, b"\r\n\r\n1,-.5,\r\n'

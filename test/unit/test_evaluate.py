@@ -6,24 +6,27 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
 from dotsim_ros.data.data_set import DataSet, DataSetEntry, read_data_set
+from dotsim_ros.data.data_set_writer import DataSetWriter
 from dotsim_ros.data.presses import Prediction, Press
-from dotsim_ros.data.reading import press_of, read_observation
+from dotsim_ros.data.reading import MeasuredBag, PressReader
 from dotsim_ros.data.split import (
     hold_out_of_protocols,
 )
 from dotsim_ros.data.trajectory import (
     PoseChannel,
     SkinChannel,
+    Topics,
     Trajectory,
     WrenchChannel,
     write_trajectory,
@@ -37,7 +40,6 @@ from dotsim_ros.specification import MaterialSpecification, SensorSpecification
 from dotsim_ros.twin import press_metrics
 from dotsim_ros.twin.follow import steps
 from dotsim_ros.twin.press_metrics import (
-    Summary,
     contact_region,
     judged_frames,
     score_press,
@@ -99,41 +101,28 @@ def trajectory(*, seed: int = 0, **changes: Any) -> Trajectory:
     return Trajectory(**{**channels, **changes})
 
 
+def press_of(measured: Trajectory) -> Press:
+    """Return the press of what a bag holds."""
+    entry = DataSetEntry("ball_0", Path(), "ball", len(DEPTHS_M), has_images=False)
+    return MeasuredBag(entry, Topics(), measured, {}).press()
+
+
 def press(**changes: Any) -> Press:
     """Return the press of `trajectory`."""
-    return replace(press_of(trajectory(), name="ball_0", indenter="ball"), **changes)
-
-
-def write_ball(path: Path) -> None:
-    """Write a closed mesh of the ball, tip at the origin."""
-    import trimesh
-
-    mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.004)
-    mesh.apply_translation([0.0, 0.0, 0.004])
-    path.parent.mkdir(parents=True, exist_ok=True)
-    mesh.export(path)
+    return replace(press_of(trajectory()), **changes)
 
 
 def write_data_set(directory: Path) -> DataSet:
     """Write six presses of two indenters, which are the same ball."""
     names = [f"{indenter}_{k}" for indenter in ("ball", "other") for k in range(3)]
-    for number, name in enumerate(names):
-        write_trajectory(directory / "bags" / name, trajectory(seed=number))
-        write_ball(directory / "indenters" / f"{name[:-2]}.stl")
-    records = [{"bag": f"bags/{name}", "indenter": name[:-2], "frames": 4} for name in names]
-    (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
-    write_skin(directory, SKIN.rest_position_m)
+    return write_presses(directory, names, first_seed=0)
+
+
+def write_presses(directory: Path, names: Sequence[str], *, first_seed: int) -> DataSet:
+    writer = DataSetWriter(directory, SKIN, indenter_step_m=0.6e-3)
+    for seed, name in enumerate(names, first_seed):
+        writer.add(trajectory(seed=seed, name=name), replace(BALL, name=name[:-2]))
     return read_data_set(directory)
-
-
-def write_skin(directory: Path, position_m: FloatArray) -> None:
-    """Write the skin's mesh with vertices at (V, 3)."""
-    np.savez(
-        directory / "skin_mesh.npz",
-        rest_position_m=position_m,
-        triangles=SKIN.triangles,
-        on_base=SKIN.on_base,
-    )
 
 
 SAMPLES = 512
@@ -142,12 +131,12 @@ time."""
 
 
 @pytest.fixture(autouse=True)
-def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_samples(monkeypatch):
     monkeypatch.setattr(press_metrics, "SAMPLE_COUNT", SAMPLES)
 
 
 @pytest.fixture(scope="module")
-def data_set(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+def data_set(tmp_path_factory):
     """The data set, written once."""
     return write_data_set(tmp_path_factory.mktemp("data"))
 
@@ -160,30 +149,28 @@ def perfect(measured: Press) -> Prediction:
 # Presses
 
 
-def test_press_is_what_was_written(data_set: DataSet) -> None:
+def test_press_is_what_was_written(data_set):
     entry = data_set.entries[0]
-    read = read_observation(data_set, entry, skin=SKIN, has_vertices=True).press
+    read = PressReader(data_set, SKIN, True).read(entry).press
     assert (read.name, read.indenter, read.frame_count) == ("ball_0", "ball", 4)
     assert read.stamp_s == pytest.approx([1.0, 1.1, 1.2, 1.3])
-    assert read.force_n == pytest.approx(trajectory().wrench.force_n)  # type: ignore[union-attr]
-    assert read.skin_position_m is not None
+    assert read.force_n == pytest.approx(trajectory().wrench.force_n)
     assert read.skin_position_m.shape == (4, SKIN.vertex_count, 3)
 
 
-def test_channels_stamped_otherwise_are_refused() -> None:
+def test_channels_stamped_otherwise_are_refused():
     wrench = trajectory().wrench
-    assert wrench is not None
     late = WrenchChannel(wrench.stamp_ns + 1, wrench.force_n, wrench.torque_nm)
     with pytest.raises(ValueError, match="every stamp of the wrench is 1e-09 s after"):
-        press_of(trajectory(wrench=late), name="a", indenter="ball")
+        press_of(trajectory(wrench=late))
 
 
-def test_times_that_do_not_increase_are_named() -> None:
+def test_times_that_do_not_increase_are_named():
     with pytest.raises(ValueError, match="ball_0: frame 2 is not later"):
         press(stamp_s=np.array([1.0, 1.1, 1.1, 1.2]))
 
 
-def test_steps_divide_what_is_too_long() -> None:
+def test_steps_divide_what_is_too_long():
     pressed = press()
     way = list(steps(pressed.poses, pressed.stamp_s, longest_step_s=0.04))
     assert [ends for _, _, ends in way] == [True, *[False, False, True] * 3]
@@ -200,7 +187,7 @@ def press_poses(way: list[tuple[Pose, float, bool]]) -> list[Pose]:
 # Splits
 
 
-def test_held_out_presses_depend_on_the_seed_alone() -> None:
+def test_held_out_presses_depend_on_the_seed_alone():
     names = [f"press_{k}" for k in range(28)]
     train, test = hold_out_of_protocols(names)
     assert (len(train), len(test)) == (19, 9)
@@ -209,7 +196,7 @@ def test_held_out_presses_depend_on_the_seed_alone() -> None:
     assert hold_out_of_protocols(names, seed=1)[1] != test
 
 
-def test_a_stratified_draw_fits_and_judges_every_protocol() -> None:
+def test_a_stratified_draw_fits_and_judges_every_protocol():
     names = [f"{kind}_{k}" for kind in ("press", "slide", "1_hold") for k in range(3)] + ["odd_0"]
     train, test = hold_out_of_protocols(names, 4)
     assert sorted(train + test) == sorted(names)
@@ -227,7 +214,7 @@ def test_a_stratified_draw_fits_and_judges_every_protocol() -> None:
         hold_out_of_protocols(["a", "b", "a"], 1)
 
 
-def test_every_indenter_is_left_out_once() -> None:
+def test_every_indenter_is_left_out_once():
     splits = list(leave_one_indenter_out({"b_0": "b", "a_0": "a", "a_1": "a"}))
     assert splits == [Split("a", ("b_0",), ("a_0", "a_1")), Split("b", ("a_0", "a_1"), ("b_0",))]
     with pytest.raises(ValueError, match="two at least"):
@@ -237,21 +224,21 @@ def test_every_indenter_is_left_out_once() -> None:
 # Scores
 
 
-def test_depth_is_that_of_the_tip() -> None:
+def test_depth_is_that_of_the_tip():
     # The nearest vertex is the apex, on which the ball presses.
     assert tip_depth_m(SKIN, press().poses) == pytest.approx(DEPTHS_M, abs=1e-9)
     assert judged_frames(press(), SKIN).tolist() == [2, 3]
     assert judged_frames(press(), SKIN, from_depth_m=0.0).tolist() == [1, 2, 3]
 
 
-def test_contact_region_is_what_the_indenter_touches() -> None:
+def test_contact_region_is_what_the_indenter_touches():
     region = contact_region(dented(3e-3), press().poses[3], BALL)
     nearer = np.linalg.norm(dented(3e-3) - [0, 0, RADIUS_M - 3e-3 + 0.004], axis=1) < 0.0045
     assert region.any()
     assert np.array_equal(region, nearer)
 
 
-def test_what_is_right_scores_the_noise() -> None:
+def test_what_is_right_scores_the_noise():
     summary = summarize(score_press(press(), perfect(press()), BALL, SKIN))
     # Of the noise of three axes a surface sees one, a vertex all.
     assert summary.skin_rms_mm == pytest.approx(1e3 * NOISE_M, rel=0.1)
@@ -259,20 +246,19 @@ def test_what_is_right_scores_the_noise() -> None:
     assert summary.normal_force_error == 0.0
     assert (summary.frames, summary.presses) == (2, 1)
     noise = measurement_noise([press()], SKIN)
-    assert noise is not None
     assert noise.skin_rms_m == pytest.approx(NOISE_M, rel=0.1)
     assert noise.frames == 1
 
 
 @pytest.fixture(scope="module")
-def right() -> Summary:
+def right():
     """The scores of what was there before the noise, with all samples."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(press_metrics, "SAMPLE_COUNT", SAMPLE_COUNT)
         return summarize(score_press(press(), perfect(press()), BALL, SKIN))
 
 
-def test_floor_is_that_of_the_samples(right: Summary, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_floor_is_that_of_the_samples(right, monkeypatch):
     monkeypatch.setattr(press_metrics, "SAMPLE_COUNT", SAMPLE_COUNT)
     floor = summarize(floor_scores(press(), BALL, SKIN))
     assert floor.chamfer_mm == pytest.approx(0.44, abs=0.03)
@@ -281,7 +267,7 @@ def test_floor_is_that_of_the_samples(right: Summary, monkeypatch: pytest.Monkey
     assert floor.skin_rms_mm == 0.0
 
 
-def test_depth_of_the_measured_skin_in_the_indenter_is_told() -> None:
+def test_depth_of_the_measured_skin_in_the_indenter_is_told():
     rigid = perfect(press()).skin_position_m
     shallow = np.stack([dented(max(0.0, depth - 3e-4)) for depth in DEPTHS_M])
     scores = score_press(press(skin_position_m=shallow), Prediction(rigid), BALL, SKIN)
@@ -297,9 +283,7 @@ def test_depth_of_the_measured_skin_in_the_indenter_is_told() -> None:
     assert all(score.inside_m < 1e-6 for score in clear)
 
 
-def test_a_skin_that_stays_at_rest_is_wrong_in_the_contact(
-    right: Summary, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_skin_that_stays_at_rest_is_wrong_in_the_contact(right, monkeypatch):
     monkeypatch.setattr(press_metrics, "SAMPLE_COUNT", SAMPLE_COUNT)
     rest = Prediction(np.tile(SKIN.rest_position_m, (4, 1, 1)))
     still = summarize(score_press(press(), rest, BALL, SKIN))
@@ -310,7 +294,7 @@ def test_a_skin_that_stays_at_rest_is_wrong_in_the_contact(
     assert still.normal_force_error is None
 
 
-def test_force_errors_are_shares() -> None:
+def test_force_errors_are_shares():
     measured = press()
     assert measured.force_n is not None
     scaled = Prediction(perfect(measured).skin_position_m, measured.force_n * [1.0, 0.5, 1.2])
@@ -321,7 +305,7 @@ def test_force_errors_are_shares() -> None:
     assert summary.shear_force_error < 0.05
 
 
-def test_same_seed_same_scores() -> None:
+def test_same_seed_same_scores():
     first, again = (
         summarize(score_press(press(), perfect(press()), BALL, SKIN, seed=7)) for _ in range(2)
     )
@@ -341,7 +325,7 @@ def test_same_seed_same_scores() -> None:
         ),
     ],
 )
-def test_bad_predictions_are_refused(prediction: Prediction, message: str) -> None:
+def test_bad_predictions_are_refused(prediction, message):
     with pytest.raises(ValueError, match=f"ball_0: .*{message}"):
         score_press(press(), prediction, BALL, SKIN)
 
@@ -349,7 +333,7 @@ def test_bad_predictions_are_refused(prediction: Prediction, message: str) -> No
 # The data set, the models and the studies
 
 
-def test_broken_bag_is_left_out_and_named(tmp_path: Path) -> None:
+def test_broken_bag_is_left_out_and_named(tmp_path):
     data = write_data_set(tmp_path)
     write_trajectory(tmp_path / "bags" / "blind", trajectory(pose=None))
     broken = DataSetEntry("blind", tmp_path / "bags" / "blind", "ball", 4, False)
@@ -368,9 +352,7 @@ def test_folder_of_sensors_holds_one_for_each_split(tmp_path: Path) -> None:
         sensor_file("other", tmp_path)
 
 
-def test_the_study_judges_every_split(
-    data_set: DataSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_study_judges_every_split(data_set, tmp_path, capsys):
     options = ["--data", str(data_set.directory), "--models", "tacto", "--splits", "all"]
     options += ["--count", "2", "--from-depth-mm", "2.7"]
     assert run.run("geometry", options, json_directory=tmp_path)
@@ -393,20 +375,17 @@ def test_the_study_judges_every_split(
     assert "|Taxim|" not in said
 
 
-def write_later(directory: Path, names: tuple[str, ...] = ("later_0", "later_1")) -> DataSet:
-    """Write presses of the ball that come without its mesh."""
-    for number, name in enumerate(names):
-        write_trajectory(directory / "bags" / name, trajectory(seed=10 + number))
-    records = [{"bag": f"bags/{name}", "indenter": "ball", "frames": 4} for name in names]
-    (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
-    write_skin(directory, SKIN.rest_position_m)
-    return read_data_set(directory)
+def write_later(directory: Path, *names: str) -> DataSet:
+    """Write presses that come without the mesh of the ball."""
+    written = write_presses(directory, names, first_seed=10)
+    shutil.rmtree(directory / "indenters")
+    index = directory / "dataset.yaml"
+    index.write_text(index.read_text().replace("indenter: later", "indenter: ball"))
+    return read_data_set(written.directory)
 
 
-def test_all_presses_are_fitted_on_and_all_later_ones_judged(
-    data_set: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_later(tmp_path)
+def test_all_presses_are_fitted_on_and_all_later_ones_judged(data_set, tmp_path, monkeypatch):
+    write_later(tmp_path, "later_0", "later_1")
     monkeypatch.setattr(taxim, "GENERATIONS", 1)
     monkeypatch.setattr(taxim, "POPULATION_FACTOR", 2)
     monkeypatch.setattr(press_metrics, "SAMPLE_COUNT", 128)
@@ -425,13 +404,13 @@ def test_all_presses_are_fitted_on_and_all_later_ones_judged(
     assert found["taxim"]["held_out"]["presses"] == 2
 
 
-def test_a_press_is_not_judged_that_was_fitted_on(data_set: DataSet, tmp_path: Path) -> None:
-    later = write_later(tmp_path, ("later_0", "ball_1"))
+def test_a_press_is_not_judged_that_was_fitted_on(data_set, tmp_path):
+    later = write_later(tmp_path, "later_0", "ball_1")
     with pytest.raises(ValueError, match=r"ball_1 in both .*give the later ones other names"):
         read_with_later(data_set, later)
 
 
-def test_the_explicit_gels_modulus_is_that_of_the_forces() -> None:
+def test_the_explicit_gels_modulus_is_that_of_the_forces():
     sensor = SensorSpecification()
     truth = ExplicitModel(sensor, NeoHookean(1.0e5, 0.45), COARSE_SETTINGS)
     # Down to 1 mm, which is a third of the way, in one frame of the paper's.
@@ -455,7 +434,7 @@ def test_the_explicit_gels_modulus_is_that_of_the_forces() -> None:
     assert as_published.material.youngs_modulus_pa == 27_575.0
 
 
-def test_the_runtime_tables_explicit_gel_has_the_moduli_of_the_sensors_law() -> None:
+def test_the_runtime_tables_explicit_gel_has_the_moduli_of_the_sensors_law():
     # A Yeoh sensor's file has moduli of its own that its law does not use.
     law = MaterialSpecification(law="yeoh", c10_pa=3.0e4, c20_pa=2.0e3, bulk_modulus_pa=1.2e6)
     sensor = replace(SensorSpecification(), material=law)
@@ -467,9 +446,7 @@ def test_the_runtime_tables_explicit_gel_has_the_moduli_of_the_sensors_law() -> 
     assert model.material.poisson_ratio == pytest.approx(youngs / 1.2e5 - 1.0)
 
 
-def test_a_press_or_a_data_set_that_is_not_there_is_named(
-    data_set: DataSet, tmp_path: Path
-) -> None:
+def test_a_press_or_a_data_set_that_is_not_there_is_named(data_set, tmp_path):
     with pytest.raises(ValueError, match="no press nothing; the data set holds ball_0"):
         runtime(data=data_set.directory, presses=("nothing",))
     with pytest.raises(FileNotFoundError, match="is no data set"):

@@ -96,7 +96,7 @@ def maker(folder: Path, **settings: Any) -> RowMaker:
 # Scores
 
 
-def test_the_idle_image_scores_what_was_added() -> None:
+def test_the_idle_image_scores_what_was_added():
     scores, _ = score_frames(Idle(), PRESSES, [("1_shape_0", k) for k in range(4)], REST)
     assert [s.full_depth for s in scores] == [False, False, False, True]
     assert scores[0].frame_score.psnr_db == LARGEST_PSNR_DB
@@ -108,7 +108,7 @@ def test_the_idle_image_scores_what_was_added() -> None:
     assert ratio == pytest.approx(1.0 / lit_share)
 
 
-def test_summaries_by_depth() -> None:
+def test_summaries_by_depth():
     keys = [(name, k) for name in ("1_shape_0", "2_shape_0") for k in range(4)]
     figures = summarize(score_frames(WarpedIdle(), PRESSES, keys, REST)[0])
     assert (figures["frames"], figures["trajectories"]) == (8, 2)
@@ -119,7 +119,7 @@ def test_summaries_by_depth() -> None:
     assert figures["psnr_db"] > figures["deep"]["psnr_db"] > figures["full_depth"]["psnr_db"]
 
 
-def test_images_of_another_size_are_refused() -> None:
+def test_images_of_another_size_are_refused():
     @dataclass(frozen=True)
     class Small:
         name: str = "small"
@@ -141,7 +141,7 @@ def test_ceilings_come_from_the_data() -> None:
     assert figures["two_renderings_db"] == figures["one_rendering_db"] == LARGEST_PSNR_DB
 
 
-def test_one_rendering_is_noisier_than_its_mean() -> None:
+def test_one_rendering_is_noisier_than_its_mean():
     random = np.random.default_rng(4)
     noisy = np.rint(120.0 + 4.0 * random.standard_normal((2, *SIZE, 3))).astype(np.uint8)
     presses = tuple(
@@ -179,9 +179,7 @@ def test_a_broken_row_is_made_again(tmp_path: Path) -> None:
     assert maker(tmp_path).make("idle", split, []).scores == first.scores
 
 
-def test_taxim_is_fitted_on_the_frames_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_taxim_is_fitted_on_the_frames_given(tmp_path, monkeypatch):
     seen: list[int] = []
 
     def watched(name: str, settings: FitSettings, **options: Any) -> Any:
@@ -203,7 +201,7 @@ def test_taxim_is_fitted_on_the_frames_given(
 # Figures and sheets
 
 
-def test_figures_and_sheets(tmp_path: Path) -> None:
+def test_figures_and_sheets(tmp_path):
     drawn = splits_of(DATA)
     splits = [drawn[level][way] for level in ("easy", "hard") for way in drawn[level]]
     rows_of = maker(tmp_path / "rows")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -80,11 +79,10 @@ def recording_of(
 
 def pixels_of(file: str) -> np.ndarray[Any, Any]:
     image = cv2.imread(file)
-    assert image is not None
     return image.astype(float)
 
 
-def test_where_the_indenter_is_put_is_where_the_sensor_sees_it() -> None:
+def test_where_the_indenter_is_put_is_where_the_sensor_sees_it():
     place = np.array([0.001, -0.002, 0.014])
     seen = compose(inverse(PLACES.start), PLACES.indenter(place))
     np.testing.assert_allclose(seen.position_m, place, atol=1e-12)
@@ -92,7 +90,7 @@ def test_where_the_indenter_is_put_is_where_the_sensor_sees_it() -> None:
 
 
 @pytest.mark.parametrize("name", PATHS)
-def test_who_goes_along_the_path_makes_no_error_and_all_the_laps(name: str) -> None:
+def test_who_goes_along_the_path_makes_no_error_and_all_the_laps(name):
     row = judge(recording_of(name), reference_path(name), LIMITS)
     assert row["mean_error_mm"] < 0.001
     assert row["laps"] == pytest.approx(row["laps_of_expert"], rel=0.02)
@@ -102,7 +100,7 @@ def test_who_goes_along_the_path_makes_no_error_and_all_the_laps(name: str) -> N
     assert row["force_n"] == 1.5
 
 
-def test_what_counts_as_an_error_and_for_how_long() -> None:
+def test_what_counts_as_an_error_and_for_how_long():
     row = judge(recording_of("line", beside_m=0.5e-3), reference_path("line"), LIMITS)
     assert row["mean_error_mm"] == pytest.approx(0.5, abs=0.01)
     # The approach is not judged, nor the time in which nothing was commanded.
@@ -122,7 +120,7 @@ def exceeding(**changes: Any) -> list[str]:
     return exceeded
 
 
-def test_what_exceeds_a_limit_is_named() -> None:
+def test_what_exceeds_a_limit_is_named():
     recording = recording_of()
     fast = recording.twist.copy()
     fast[400, 0] = 0.06
@@ -140,7 +138,7 @@ def test_what_exceeds_a_limit_is_named() -> None:
     assert exceeding(pose=turned) == ["turn_rad"]
 
 
-def test_a_trial_that_was_never_led_or_latched_early_is_told() -> None:
+def test_a_trial_that_was_never_led_or_latched_early_is_told():
     still = recording_of()
     row = judge(replace(still, command=0.0 * still.command), reference_path("line"), LIMITS)
     assert "never moved the arm" in row["ended"]
@@ -160,7 +158,7 @@ def test_a_trial_that_was_never_led_or_latched_early_is_told() -> None:
     assert found["std_mm"] is None
 
 
-def test_a_recording_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_a_recording_is_read_as_it_was_written(tmp_path):
     recording = recording_of(stops={"image_stale": 2})
     recording = recording.between(START_S + 2.0, START_S + 3.0)
     assert len(recording.pose) == len(recording.pose_s) == pytest.approx(101, abs=1)
@@ -175,7 +173,7 @@ def test_a_recording_is_read_as_it_was_written(tmp_path: Path) -> None:
         LoopRecording.load(tmp_path / "b.npz")
 
 
-def test_a_bag_is_read_as_the_same_recording(tmp_path: Path) -> None:
+def test_a_bag_is_read_as_the_same_recording(tmp_path):
     recording = recording_of()
     with BagFile(tmp_path / "bag") as bag:
         for stamp_s, pose, twist, seen in zip(
@@ -225,7 +223,7 @@ def plan_of(*, trials: int = 2, policy: str = "abc") -> TrialPlan:
     return TrialPlan(settings, ("line", "press"), trial_count=trials, seconds=4.0, policy=policy)
 
 
-def test_a_run_that_was_broken_off_goes_on(tmp_path: Path) -> None:
+def test_a_run_that_was_broken_off_goes_on(tmp_path):
     asked: list[tuple[str, str]] = []
 
     def loop(setting: Setting, path: str, start_m: Any, seconds: float) -> LoopRecording:
@@ -276,7 +274,7 @@ def test_a_loop_that_does_not_start_is_tried_again_and_then_reported(
         run_trials(plan, broken, LIMITS, tmp_path / "b")
 
 
-def test_starts_are_near_the_path_and_the_same_for_a_seed() -> None:
+def test_starts_are_near_the_path_and_the_same_for_a_seed():
     contact, path = DomeContact(), reference_path("arc")
     starts = [trial_start(path, contact, seed=0, number=n) for n in range(20)]
     assert path.nearest(np.array(starts))[0].max() < 2e-3
@@ -284,7 +282,7 @@ def test_starts_are_near_the_path_and_the_same_for_a_seed() -> None:
     np.testing.assert_array_equal(starts[3], trial_start(path, contact, seed=0, number=3))
 
 
-def test_the_shifted_sensor_is_stiffer_darker_and_tilted(tmp_path: Path) -> None:
+def test_the_shifted_sensor_is_stiffer_darker_and_tilted(tmp_path):
     shifted = setting_of("shifted", tmp_path, trained_on="densetact2")
     own, other = load_sensor("densetact2"), load_sensor(shifted.sensor)
     assert other.material.youngs_modulus_pa == pytest.approx(1.1 * own.material.youngs_modulus_pa)
@@ -306,7 +304,7 @@ def test_the_shifted_sensor_is_stiffer_darker_and_tilted(tmp_path: Path) -> None
         setting_of("real", tmp_path, trained_on="densetact2")
 
 
-def test_the_figures_are_of_all_trials(tmp_path: Path) -> None:
+def test_the_figures_are_of_all_trials(tmp_path):
     plan = plan_of()
     trials = run_trials(
         plan,
@@ -325,7 +323,7 @@ def test_the_figures_are_of_all_trials(tmp_path: Path) -> None:
     assert pixels_of(str(tmp_path / "grid.png")).shape[1] > 500
 
 
-def test_the_report_of_a_trial_says_whether_it_kept_the_limits() -> None:
+def test_the_report_of_a_trial_says_whether_it_kept_the_limits():
     recording = recording_of("press")
     row = judge(recording, reference_path("press"), LIMITS)
     image = path_image("press", [recording], name="path")

@@ -10,7 +10,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import BinaryIO
 
@@ -20,9 +19,7 @@ import pytest
 
 import dotsim_ros
 from dotsim_ros import (
-    Frame,
     Pose,
-    SensorSpecification,
     TactileSensor,
     load_indenter,
     load_sensor,
@@ -49,7 +46,7 @@ RADIUS_M = 0.01575
 
 
 @pytest.fixture(scope="module")
-def coarse() -> SensorSpecification:
+def coarse():
     """A sensor whose gel is solved in milliseconds."""
     sensor = load_sensor("densetact2")
     return replace(
@@ -61,11 +58,11 @@ def coarse() -> SensorSpecification:
 
 
 @pytest.fixture(scope="module")
-def frame(coarse: SensorSpecification) -> Frame:
+def frame(coarse):
     return TactileSensor.load(coarse).step(Pose.above_apex(depth_m=0.001, x_m=0.002))
 
 
-def test_importing_the_package_loads_nothing_heavy_and_the_names_load_when_asked() -> None:
+def test_importing_the_package_loads_nothing_heavy_and_the_names_load_when_asked():
     code = """
 import sys
 import dotsim_ros
@@ -80,7 +77,7 @@ print("rclpy" in sys.modules, "torch" in sys.modules)
     assert done.stdout.splitlines()[-3:] == ["[]", "set()", "False False"]
 
 
-def test_only_the_program_prints_and_a_first_load_says_what_it_computes(tmp_path: Path) -> None:
+def test_only_the_program_prints_and_a_first_load_says_what_it_computes(tmp_path):
     code = """
 from dataclasses import replace
 from dotsim_ros import Pose, TactileSensor, load_sensor
@@ -97,7 +94,6 @@ print("done")
     # With an empty cache it says so before it compiles.
     environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as first:
-        assert first.stderr is not None
         said = first.stderr.readline()
         first.kill()
     assert said == (
@@ -105,9 +101,7 @@ print("done")
     )
 
 
-def test_long_tables_are_noticed_once_and_short_ones_never(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_long_tables_are_noticed_once_and_short_ones_never(monkeypatch, capsys):
     for part_s, said in ((4.0, "about 32 s"), (0.2, "")):
         clock = iter(np.arange(1, 11) * part_s)
         monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=clock.__next__))
@@ -118,7 +112,7 @@ def test_long_tables_are_noticed_once_and_short_ones_never(
         assert [said in line for line in lines] == [True] * bool(said)
 
 
-def test_every_public_name_is_what_its_home_holds_and_is_listed() -> None:
+def test_every_public_name_is_what_its_home_holds_and_is_listed():
     assert set(dotsim_ros.__all__) >= FOREVER
     homes = {name: home for home, names in dotsim_ros._HOMES.items() for name in names}
     assert sorted(homes) == sorted(dotsim_ros.__all__)
@@ -127,8 +121,7 @@ def test_every_public_name_is_what_its_home_holds_and_is_listed() -> None:
         assert getattr(dotsim_ros, name) is getattr(importlib.import_module(home), name), name
 
 
-def test_a_pose_above_the_apex_is_placed_by_the_sensor(frame: Frame) -> None:
-    assert frame.indenter_pose is not None
+def test_a_pose_above_the_apex_is_placed_by_the_sensor(frame):
     expected = [0.002, 0.0, RADIUS_M - 0.001]
     np.testing.assert_allclose(frame.indenter_pose.position_m, expected, atol=1e-12)
     assert frame.wrench.force_n[2] > 0.1
@@ -136,14 +129,14 @@ def test_a_pose_above_the_apex_is_placed_by_the_sensor(frame: Frame) -> None:
     assert frame.image.shape == (120, 160, 3)
 
 
-def test_above_the_apex_turns_about_the_axis_and_refuses_what_is_no_number() -> None:
+def test_above_the_apex_turns_about_the_axis_and_refuses_what_is_no_number():
     pose = Pose.above_apex(0.001, yaw_rad=np.pi / 2).on([0.0, 0.0, 0.01])
     np.testing.assert_allclose(pose.apply([1.0, 0.0, 0.0]), [0.0, 1.0, 0.009], atol=1e-12)
     with pytest.raises(ValueError, match="a pose above the apex holds a number that is not finite"):
         Pose.above_apex(float("nan"))
 
 
-def test_poses_above_the_apex_are_checked_like_others(coarse: SensorSpecification) -> None:
+def test_poses_above_the_apex_are_checked_like_others(coarse):
     sensor = TactileSensor.load(coarse)
     with pytest.raises(ValueError, match="press less deep"):
         sensor.check_depth(Pose.above_apex(depth_m=0.0095))
@@ -151,13 +144,10 @@ def test_poses_above_the_apex_are_checked_like_others(coarse: SensorSpecificatio
         sensor.step(Pose.above_apex(depth_m=0.0095))
     gel = sensor.press(Pose.above_apex(depth_m=0.0005))
     seen = sensor.see(gel, Pose.above_apex(depth_m=0.0005))
-    assert seen.indenter_pose is not None
     np.testing.assert_allclose(seen.indenter_pose.position_m, [0.0, 0.0, RADIUS_M - 0.0005])
 
 
-def test_a_sensor_is_loaded_from_names_files_or_objects(
-    tmp_path: Path, coarse: SensorSpecification
-) -> None:
+def test_a_sensor_is_loaded_from_names_files_or_objects(tmp_path, coarse):
     path = tmp_path / "mine.yaml"
     dotsim_ros.write_sensor(path, replace(coarse, name="mine"), "coarse")
     sensor = TactileSensor.load(path, indenter={"kind": "sphere", "radius_m": 0.003})
@@ -173,9 +163,7 @@ def test_a_sensor_is_loaded_from_names_files_or_objects(
         TactileSensor.load(coarse, indenter="sphere_5mm")
 
 
-def test_a_frame_is_saved_as_image_change_and_range_side_by_side(
-    tmp_path: Path, frame: Frame
-) -> None:
+def test_a_frame_is_saved_as_image_change_and_range_side_by_side(tmp_path, frame):
     frame.save(tmp_path / "new" / "press.png")
     read = cv2.imread(str(tmp_path / "new" / "press.png"))
     picture = cv2.cvtColor(read, cv2.COLOR_BGR2RGB)
@@ -197,7 +185,7 @@ def test_a_frame_is_saved_as_image_change_and_range_side_by_side(
     assert np.abs(read.astype(int) - picture).mean() < 8.0
 
 
-def test_a_frame_is_printed_on_one_line(frame: Frame) -> None:
+def test_a_frame_is_printed_on_one_line(frame):
     x, y, z = frame.wrench.force_n
     motion_mm = 1e3 * frame.max_skin_motion_m
     assert 0.7 < motion_mm < 1.1
@@ -208,7 +196,7 @@ def test_a_frame_is_printed_on_one_line(frame: Frame) -> None:
     assert "mm, not converged, image" in str(replace(frame, converged=False))
 
 
-def test_a_frame_is_saved_with_all_its_arrays(tmp_path: Path, frame: Frame) -> None:
+def test_a_frame_is_saved_with_all_its_arrays(tmp_path, frame):
     for path, saved in (("a.npz", frame), ("b.NPZ", replace(frame, indenter_pose=None))):
         saved.save(tmp_path / path)
         with np.load(tmp_path / path) as arrays:
@@ -225,9 +213,7 @@ def test_a_frame_is_saved_with_all_its_arrays(tmp_path: Path, frame: Frame) -> N
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.NPZ"]
 
 
-def test_a_file_stays_as_it_was_where_a_frame_could_not_be_written(
-    tmp_path: Path, frame: Frame, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_stays_as_it_was_where_a_frame_could_not_be_written(tmp_path, frame, monkeypatch):
     path = tmp_path / "press.npz"
     path.write_bytes(b"before")
 
@@ -243,9 +229,7 @@ def test_a_file_stays_as_it_was_where_a_frame_could_not_be_written(
 
 
 @pytest.mark.parametrize("method", ["implicit", "explicit"])
-def test_a_sensor_with_another_indenter_is_at_rest(
-    coarse: SensorSpecification, method: str
-) -> None:
+def test_a_sensor_with_another_indenter_is_at_rest(coarse, method):
     specification = replace(coarse, solver=replace(coarse.solver, method=method))
     cone = load_indenter("cone")
     sensor = TactileSensor.load(specification)
@@ -265,14 +249,14 @@ def test_a_sensor_with_another_indenter_is_at_rest(
     )
 
 
-def test_a_batch_needs_the_implicit_method(coarse: SensorSpecification) -> None:
+def test_a_batch_needs_the_implicit_method(coarse):
     explicit = replace(coarse, solver=replace(coarse.solver, method="explicit"))
     with pytest.raises(ValueError, match="'explicit', expected 'implicit' for a batch"):
         make_gel_batch(explicit, indenter=load_indenter("sphere_4mm"), environment_count=2)
 
 
 @pytest.fixture
-def fresh_names(monkeypatch: pytest.MonkeyPatch) -> None:
+def fresh_names(monkeypatch):
     """Forget what was imported by an old name: a name is warned of once."""
     for name in list(sys.modules):
         if name.startswith(tuple(MOVED)):
@@ -281,14 +265,14 @@ def fresh_names(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("fresh_names")
 @pytest.mark.parametrize(("old", "new"), MOVED.items())
-def test_an_old_name_leads_to_the_same_module(old: str, new: str) -> None:
+def test_an_old_name_leads_to_the_same_module(old, new):
     with pytest.warns(DeprecationWarning, match=f"{old} is {new}"):
         assert importlib.import_module(old) is importlib.import_module(new)
     assert importlib.import_module(new).__spec__.name == new
 
 
 @pytest.mark.usefixtures("fresh_names")
-def test_what_lies_below_an_old_folder_is_found() -> None:
+def test_what_lies_below_an_old_folder_is_found():
     with pytest.warns(DeprecationWarning, match=r"is dotsim_ros\.data\.importers\.force_depth"):
         table = importlib.import_module("dotsim_ros.measured.importers.force_depth")
     assert table.read_force_table.__module__ == "dotsim_ros.data.importers.force_depth"

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -64,7 +63,7 @@ def write(path: Path, image: NDArray[np.uint8]) -> None:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Photographs of one ball at many places, the idle one among them without a telling name."""
     photographs = tmp_path / "photographs"
     photographs.mkdir()
@@ -77,9 +76,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.fault("calibrate", "a photograph that shows no single ball")
-def test_bad_photographs_are_left_out_with_their_reasons(
-    folder: Path, answered: Callable[..., None]
-) -> None:
+def test_bad_photographs_are_left_out_with_their_reasons(folder, answered):
     write(folder / "none.png", photograph(shift=2.0))
     write(folder / "two.png", photograph((35.0, 40.0), (120.0, 80.0)))
     write(folder / "edge.png", photograph((8.0, 60.0)))
@@ -113,7 +110,7 @@ def test_bad_photographs_are_left_out_with_their_reasons(
         answered(found.left_out[name], what=f"the photograph {name}")
 
 
-def test_too_few_photographs_say_what_was_wrong(folder: Path) -> None:
+def test_too_few_photographs_say_what_was_wrong(folder):
     write(folder / "frame_03.png", photograph())
     with pytest.raises(ValueError, match=r"(?s)12 photographs show one ball .*frame_03.*no ball"):
         read_guided_photographs(folder)
@@ -121,7 +118,7 @@ def test_too_few_photographs_say_what_was_wrong(folder: Path) -> None:
         read_guided_photographs(folder / "elsewhere")
 
 
-def test_from_photographs_to_a_sensor_that_runs(folder: Path, tmp_path: Path) -> None:
+def test_from_photographs_to_a_sensor_that_runs(folder, tmp_path):
     out = tmp_path / "mine.yaml"
     told: list[str] = []
     request = GuidedRequest(
@@ -149,7 +146,7 @@ def test_from_photographs_to_a_sensor_that_runs(folder: Path, tmp_path: Path) ->
     assert np.abs(pressed.astype(float) - idle).max() > 20.0
 
 
-def test_a_large_ball_and_a_thin_pad_give_a_sensor(folder: Path, tmp_path: Path) -> None:
+def test_a_large_ball_and_a_thin_pad_give_a_sensor(folder, tmp_path):
     out = tmp_path / "mine.yaml"
     told: list[str] = []
     request = GuidedRequest(
@@ -174,17 +171,13 @@ def test_a_large_ball_and_a_thin_pad_give_a_sensor(folder: Path, tmp_path: Path)
 @pytest.mark.parametrize(
     ("size", "width"), [((200, 160), 160), ((640, 480), 320), ((240, 320), 240)]
 )
-def test_photographs_of_any_size_give_a_network_its_images(
-    size: tuple[int, int], width: int
-) -> None:
+def test_photographs_of_any_size_give_a_network_its_images(size, width):
     assert network_width_px(flat_camera(*size, 4.0e-3, PIXELS_PER_METRE)) == width
     with pytest.raises(ValueError, match=r"are 60x60, .* crop them all alike to a width"):
         network_width_px(flat_camera(60, 60, 4.0e-3, PIXELS_PER_METRE))
 
 
-def test_the_command_refuses_what_it_cannot_use(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_refuses_what_it_cannot_use(folder, tmp_path, capsys):
     out = tmp_path / "mine.yaml"
     assert main(["calibrate", "--out", str(out)]) != 0
     assert "name a data set with --data" in capsys.readouterr().err

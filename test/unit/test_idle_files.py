@@ -27,7 +27,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_an_image_lies_beside_its_sensor_and_a_shipped_one_below_params() -> None:
+def test_an_image_lies_beside_its_sensor_and_a_shipped_one_below_params():
     out = Path("/somewhere/mine.yaml")
     assert idle_image_of(out) == (Path("/somewhere/mine_idle.png"), "/somewhere/mine_idle.png")
     sensors = parameter_path("sensors").resolve()
@@ -36,9 +36,7 @@ def test_an_image_lies_beside_its_sensor_and_a_shipped_one_below_params() -> Non
 
 
 @pytest.mark.parametrize("name", ["gelsight_mini", "digit", "flat_pad"])
-def test_a_copy_has_the_lights_of_a_shipped_pad_lower_and_all_else_as_it_was(
-    name: str, tmp_path: Path
-) -> None:
+def test_a_copy_has_the_lights_of_a_shipped_pad_lower_and_all_else_as_it_was(name, tmp_path):
     sensor = load_sensor(name)
     described = described_image(sensor)
     assert described is not None
@@ -54,9 +52,7 @@ def test_a_copy_has_the_lights_of_a_shipped_pad_lower_and_all_else_as_it_was(
     assert f"0.3 mm lower than in {image.name}" in text
 
 
-def test_a_copy_takes_the_samples_along_and_leaves_what_the_sensor_before_has(
-    tmp_path: Path,
-) -> None:
+def test_a_copy_takes_the_samples_along_and_leaves_what_the_sensor_before_has(tmp_path):
     image, out = tmp_path / "mine_idle.png", tmp_path / "mine.yaml"
     write_image(image, np.full((24, 32, 3), 90, dtype=np.uint8))
     write_image(fine_path(image), np.full((47, 63, 3), 90, dtype=np.uint8))
@@ -78,7 +74,7 @@ def test_a_copy_takes_the_samples_along_and_leaves_what_the_sensor_before_has(
     assert not fine_path(Path(write_lowered_copy(described, DROP_M, out))).exists()
 
 
-def test_what_nothing_describes_is_not_copied(tmp_path: Path) -> None:
+def test_what_nothing_describes_is_not_copied(tmp_path):
     write_image(tmp_path / "idle.png", np.full((24, 32, 3), 90, dtype=np.uint8))
     pad = load_sensor("gelsight_mini")
     assert described_image(with_image(pad, "")) is None

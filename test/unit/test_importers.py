@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -56,19 +55,17 @@ def saved(folder: Path, **arrays: NDArray[np.float32]) -> Path:
     return folder
 
 
-def test_a_press_becomes_poses_and_a_wrench(tmp_path: Path) -> None:
+def test_a_press_becomes_poses_and_a_wrench(tmp_path):
     made = import_gelsight_mini_force(table(tmp_path, PRESS), tmp_path / "set")
     (entry,) = read_data_set(made.directory).entries
     press = entry.read()
-    assert press.pose is not None
-    assert press.wrench is not None
     assert press.image is None
     depth = PAD_SIZE_M[2] - press.pose.position_m[:, 2]
     np.testing.assert_allclose(depth, [-0.5e-3, 0.5e-3, 1.0e-3], atol=1e-12)
     np.testing.assert_allclose(press.wrench.force_n[:, 2], [0.0, 1.6, 5.9])
 
 
-def test_units_are_those_that_the_columns_name(tmp_path: Path) -> None:
+def test_units_are_those_that_the_columns_name(tmp_path):
     for column, scale in (("normal_force_g", 1e3 / 9.80665), ("normal_force_mN", 1e3)):
         path = table(tmp_path, f"depth_in,{column}\n{0.5 / 25.4},{1.6 * scale}\n")
         read = read_force_table(path / "force_depth.csv")
@@ -93,22 +90,18 @@ def test_units_are_those_that_the_columns_name(tmp_path: Path) -> None:
         ("", "no column of depth among none"),
     ],
 )
-def test_a_bad_table_is_refused_with_the_reason(
-    tmp_path: Path, text: str, reason: str, answered: Callable[..., None]
-) -> None:
+def test_a_bad_table_is_refused_with_the_reason(tmp_path, text, reason, answered):
     with pytest.raises(ValueError, match=reason) as refused:
         import_gelsight_mini_force(table(tmp_path, text), tmp_path / "set")
     answered(refused.value, what=f"the table {', '.join(text.split()) or 'of no line'}")
     assert not (tmp_path / "set").exists()
 
 
-def test_tests_of_cylinders_become_trajectories(tmp_path: Path) -> None:
+def test_tests_of_cylinders_become_trajectories(tmp_path):
     source = saved(tmp_path, EF30_25T_A1=loading(), EF30_25T_B2=loading(force_per_n=1.1))
     made = import_ecoflex_compression(source, tmp_path / "set")
     assert [entry.name for entry in made.entries] == ["EF30_25T_A1", "EF30_25T_B2"]
     press = made.entries[1].read()
-    assert press.pose is not None
-    assert press.wrench is not None
     assert press.pose.position_m[0, 2] == pytest.approx(HEIGHT_M)
     assert press.wrench.force_n[-1, 2] == pytest.approx(loading()[-1, 2] * 1.1, rel=1e-5)
 
@@ -127,15 +120,13 @@ def test_tests_of_cylinders_become_trajectories(tmp_path: Path) -> None:
         ("EF30_A1", loading() * np.where(np.arange(270) < 200, 1, np.nan)[:, None], "not finite"),
     ],
 )
-def test_a_bad_test_is_refused_with_the_reason(
-    tmp_path: Path, name: str, rows: NDArray[np.float32], reason: str
-) -> None:
+def test_a_bad_test_is_refused_with_the_reason(tmp_path, name, rows, reason):
     with pytest.raises(ValueError, match=reason):
         read_compression_tests(saved(tmp_path, **{name: rows}))
 
 
 @pytest.mark.fault("bags and data sets", "a force that runs late behind its depth")
-def test_a_force_behind_its_depth_is_refused(answered: Callable[..., None]) -> None:
+def test_a_force_behind_its_depth_is_refused(answered):
     time_s = np.linspace(0.0, 2.0, 41)
     depth = 1e-3 * np.sin(0.5 * np.pi * time_s)
     check_in_step("press", time_s, ForceDepth(depth, 1e3 * depth))
@@ -145,7 +136,7 @@ def test_a_force_behind_its_depth_is_refused(answered: Callable[..., None]) -> N
     answered(refused.value)
 
 
-def test_presses_of_a_stage_become_poses_alone(tmp_path: Path) -> None:
+def test_presses_of_a_stage_become_poses_alone(tmp_path):
     first = np.array([-22.38, 7.80 + 20.1, -22.85])
     np.savez(
         tmp_path / "presses.npz",
@@ -155,14 +146,11 @@ def test_presses_of_a_stage_become_poses_alone(tmp_path: Path) -> None:
     )
     made = import_densetact(tmp_path, tmp_path / "set")
     press = made.entries[0].read()
-    assert press.pose is not None
     assert set(press.channels()) == {"pose"}
     np.testing.assert_allclose(press.pose.position_m[:, 2], [0.0161, 0.0160, 0.0159], atol=1e-9)
 
 
-def test_the_command_says_what_it_wrote_or_why_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_says_what_it_wrote_or_why_not(tmp_path, monkeypatch, capsys):
     # Its paths may begin with the home.
     monkeypatch.setenv("HOME", str(tmp_path))
     call = ["import-data", "gelsight_mini_force", "--from=~", "--out=~/set"]
@@ -175,7 +163,7 @@ def test_the_command_says_what_it_wrote_or_why_not(
 
 
 @needs_real
-def test_the_published_sets_are_taken() -> None:
+def test_the_published_sets_are_taken():
     press = read_gelsight_mini_force(REAL / "gelsight_mini_force")
     np.testing.assert_allclose(press.depth_m, [0.5e-3, 1.0e-3, 2.0e-3])
     tests = read_compression_tests(REAL / "ecoflex_compression")

@@ -20,7 +20,7 @@ from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisat
 from dotsim_ros.calibration.loss import FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.loss import SKIN as SKIN_CHANNEL
 from dotsim_ros.calibration.parameters import chosen_parameters
-from dotsim_ros.calibration.stages import Task, Workers, task_key
+from dotsim_ros.calibration.stages import Task, Workers
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import Observation
 from dotsim_ros.data.recording import Phase, Recording
@@ -112,7 +112,7 @@ def solve(
 ) -> int:
     """Solve a press as the finder does; return how many solves that took."""
     before = pool.count
-    presses = PressSolver(pool, folder / "solves", sensor, skin)  # type: ignore[arg-type]
+    presses = PressSolver(pool, folder / "solves", sensor, skin)
     solver = EffectSolver(presses, sensor, skin, load_effects(effects))
     active = (("lift", (("x", 0.5),)),) if effects else ()
     recording = recording_of(sphere(0.004) if indenter is None else indenter)
@@ -121,9 +121,7 @@ def solve(
 
 
 @pytest.mark.fault("find-gap", "an indenter's mesh, the sensor or an effect changed, its name not")
-def test_a_solve_is_kept_under_all_that_decides_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answered: Callable[..., None]
-) -> None:
+def test_a_solve_is_kept_under_all_that_decides_it(tmp_path, monkeypatch, answered):
     pool = Pool(solved)
     seen: dict[str, int] = {}
     ball = mesh_of(sphere(0.004), tmp_path)
@@ -194,9 +192,9 @@ SPOILT: dict[str, Callable[[Path], Any]] = {
 }
 
 
-def test_presses_of_one_gel_are_one_task(tmp_path: Path) -> None:
+def test_presses_of_one_gel_are_one_task(tmp_path):
     pool = Pool(solved)
-    presses = PressSolver(pool, tmp_path, SENSOR, SKIN)  # type: ignore[arg-type]
+    presses = PressSolver(pool, tmp_path, SENSOR, SKIN)
     solver = EffectSolver(presses, SENSOR, SKIN, load_effects())
     recordings = [recording_of(sphere(radius)) for radius in np.linspace(3e-3, 5e-3, 12).tolist()]
     values = values_of(SENSOR)
@@ -216,12 +214,7 @@ def test_presses_of_one_gel_are_one_task(tmp_path: Path) -> None:
 
 @pytest.mark.fault("find-gap", "a kept solve that is empty, cut short, or of something else")
 @pytest.mark.parametrize("what", list(SPOILT))
-def test_a_broken_solve_is_computed_anew(
-    tmp_path: Path,
-    what: str,
-    caplog: pytest.LogCaptureFixture,
-    answered: Callable[..., None],
-) -> None:
+def test_a_broken_solve_is_computed_anew(tmp_path, what, caplog, answered):
     pool = Pool(solved)
     assert solve(tmp_path, pool) == 1
     (path,) = (tmp_path / "solves").glob("*.npz")
@@ -257,10 +250,8 @@ def fitted(task: Task) -> PressFit:
 def stage(folder: Path, pool: Pool, observation: Observation, **changes: Any) -> dict[str, Any]:
     given = {"sensor": SENSOR, "skin": SKIN, "problem": PROBLEM, **changes}
     problem: FitProblem = given["problem"]
-    point = problem.centre()
-    key = task_key(given["sensor"], given["skin"], observation, problem, point)
-    task = Task("start", observation, problem, point, None, 0, key)
-    return Workers(pool, folder).run([task], lambda _name: None)  # type: ignore[arg-type]
+    workers = Workers(pool, given["sensor"], given["skin"], folder)
+    return dict(workers.run("start", [Task(observation, problem, problem.centre())]))
 
 
 def observation_of(indenter: Indenter, name: str = "press") -> Observation:
@@ -274,7 +265,7 @@ def moved(mesh: IndenterMesh) -> IndenterMesh:
     return replace(mesh, vertices_m=vertices)
 
 
-def test_a_stage_of_a_calibration_is_kept_under_all_that_decides_it(tmp_path: Path) -> None:
+def test_a_stage_of_a_calibration_is_kept_under_all_that_decides_it(tmp_path):
     pool = Pool(fitted)
     ball = mesh_of(sphere(0.004), tmp_path)
     assert ball.mesh is not None
@@ -327,12 +318,7 @@ SPOILT_STAGE: dict[str, Callable[[Path], Any]] = {
 
 @pytest.mark.fault("calibrate", "a stage's file that is empty, cut short, or of something else")
 @pytest.mark.parametrize("what", list(SPOILT_STAGE))
-def test_a_broken_stage_is_computed_anew(
-    tmp_path: Path,
-    what: str,
-    caplog: pytest.LogCaptureFixture,
-    answered: Callable[..., None],
-) -> None:
+def test_a_broken_stage_is_computed_anew(tmp_path, what, caplog, answered):
     pool, observation = Pool(fitted), observation_of(sphere(0.004))
     stage(tmp_path, pool, observation)
     path = tmp_path / "start" / "press.json"
@@ -349,7 +335,7 @@ def test_a_broken_stage_is_computed_anew(
         answered(line)
 
 
-def test_a_press_with_a_long_name_has_a_file(tmp_path: Path) -> None:
+def test_a_press_with_a_long_name_has_a_file(tmp_path):
     pool = Pool(fitted)
     names = ["x" * 250, "x" * 249 + "y", "圧" * 85, "byte\udcff"]
     for name in names:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +42,7 @@ def kept(tmp_path: Path, **choices: str) -> tuple[Path, Path, list[str]]:
     return Path(tables), Path(kernels), said
 
 
-def test_one_variable_moves_tables_and_kernels(tmp_path: Path) -> None:
+def test_one_variable_moves_tables_and_kernels(tmp_path):
     home = tmp_path / "home"
     tables, kernels, said = kept(tmp_path, HOME=str(home))
     assert (tables, kernels.parent) == (home / ".cache/dotsim_ros", tables / "warp")
@@ -57,9 +56,7 @@ def test_one_variable_moves_tables_and_kernels(tmp_path: Path) -> None:
 
 
 @pytest.mark.fault("sensor and YAML files", "a home that cannot be written, for tables and kernels")
-def test_a_home_that_cannot_be_written_gives_way_to_a_temporary_folder(
-    tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_a_home_that_cannot_be_written_gives_way_to_a_temporary_folder(tmp_path, answered):
     (tmp_path / "home").write_text("a file")
     tables, kernels, said = kept(tmp_path, HOME=str(tmp_path / "home"))
     assert tables.parent == tmp_path / "temporary"
@@ -75,9 +72,7 @@ def test_a_home_that_cannot_be_written_gives_way_to_a_temporary_folder(
     assert "set WARP_CACHE_PATH" in line
 
 
-def test_a_temporary_folder_that_others_can_write_is_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_temporary_folder_that_others_can_write_is_not_used(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     open_to_all = tmp_path / f"dotsim_ros-{os.getuid()}"
     open_to_all.mkdir()
@@ -89,9 +84,7 @@ def test_a_temporary_folder_that_others_can_write_is_not_used(
     assert cache_directory() == found == Path(os.environ["DOTSIM_ROS_CACHE"])
 
 
-def test_an_answer_that_cannot_be_kept_ends_nothing(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_answer_that_cannot_be_kept_ends_nothing(tmp_path, caplog):
     (tmp_path / "file").write_text("a file")
     path = tmp_path / "file" / "answer.npz"
     keep_arrays(path, {"answer": np.ones(3)})
@@ -99,7 +92,7 @@ def test_an_answer_that_cannot_be_kept_ends_nothing(
     assert load_arrays(path) is None
 
 
-def test_tables_that_were_not_read_for_the_longest_time_go_first(tmp_path: Path) -> None:
+def test_tables_that_were_not_read_for_the_longest_time_go_first(tmp_path):
     paths = [tmp_path / f"{name}.npz" for name in "abcd"]
     table = {"answer": np.ones(1000)}
     for age, path in enumerate(paths[:3]):

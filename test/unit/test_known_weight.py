@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from dotsim_ros.data.known_weight import ForceScale, combined_scale, read_weight
 from dotsim_ros.data.trajectory import Trajectory, WrenchChannel, write_trajectory
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import active_effects
-from dotsim_ros.gap.findings import Findings, Verdict, as_record, findings_of
+from dotsim_ros.gap.findings import Verdict, as_record, findings_of
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gap.presses.weighed import is_wrong, weighed_scale, with_scale
 from dotsim_ros.gap.report.page import report_files
@@ -54,7 +53,7 @@ def set_down(known_n: float, scale: float, *, noise_n: float = 0.01) -> np.ndarr
     )
 
 
-def test_a_weight_gives_the_scale_of_the_gauge(tmp_path: Path) -> None:
+def test_a_weight_gives_the_scale_of_the_gauge(tmp_path):
     write_weight(tmp_path / "bags" / "weight_0", set_down(0.1 * GRAVITY, 0.8))
     write_weight(tmp_path / "bags" / "weight_1", np.tile([0.0, 0.0, -4.0], (20, 1)))
     data = data_set_with(
@@ -76,7 +75,7 @@ def test_a_weight_gives_the_scale_of_the_gauge(tmp_path: Path) -> None:
     assert both.deviation < scale.deviation
 
 
-def test_weights_that_disagree_are_less_certain() -> None:
+def test_weights_that_disagree_are_less_certain():
     agreeing = combined_scale([ForceScale(s, 0.01, ("w",)) for s in (0.99, 1.0, 1.01)])
     apart = combined_scale([ForceScale(s, 0.01, ("w",)) for s in (0.9, 1.0, 1.1)])
     assert agreeing.deviation == pytest.approx(0.01 / np.sqrt(3.0))
@@ -86,7 +85,7 @@ def test_weights_that_disagree_are_less_certain() -> None:
     assert (ratio.scale, ratio.deviation) == pytest.approx((0.64, 0.0064))
 
 
-def test_an_entry_that_says_no_weight_is_refused(tmp_path: Path) -> None:
+def test_an_entry_that_says_no_weight_is_refused(tmp_path):
     for weight, told in (
         ({"bag": "bags/none", "mass_kg": 0.1}, "weight 0: there is no bag"),
         ({"bag": "bags/press"}, "expected either 'mass_kg' or 'known_force_n', got neither"),
@@ -100,7 +99,7 @@ def test_an_entry_that_says_no_weight_is_refused(tmp_path: Path) -> None:
         read_data_set(data_set_with(tmp_path, **{"weights": "bags/press"}))
 
 
-def test_a_reading_of_no_weight_is_refused(tmp_path: Path) -> None:
+def test_a_reading_of_no_weight_is_refused(tmp_path):
     bag = tmp_path / "bags" / "weight"
     write_weight(bag, set_down(1.0, 1.0))
     grams = read_data_set(data_set_with(tmp_path, {"bag": "bags/weight", "mass_kg": 100.0}))
@@ -114,9 +113,7 @@ def test_a_reading_of_no_weight_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("presses", [no_gap, named])
-def test_a_wrong_scale_is_named_beside_what_the_presses_show(
-    presses: Callable[[], Findings],
-) -> None:
+def test_a_wrong_scale_is_named_beside_what_the_presses_show(presses):
     library = load_effects()
     scale = ForceScale(0.8, 0.004, ("weight_0",))
     found, overlay = with_scale(presses(), None, scale, library["force_scale"])
@@ -133,7 +130,7 @@ def test_a_wrong_scale_is_named_beside_what_the_presses_show(
     assert found.sentence.endswith(presses().sentence)
 
 
-def test_the_scale_since_the_commissioning_takes_a_weight_in_both(tmp_path: Path) -> None:
+def test_the_scale_since_the_commissioning_takes_a_weight_in_both(tmp_path):
     for name, scale in (("before", 1.25), ("now", 1.0)):
         write_weight(tmp_path / name / "bags" / "weight", set_down(2.0, scale))
         data_set_with(tmp_path / name, {"bag": "bags/weight", "known_force_n": 2.0})
@@ -142,7 +139,6 @@ def test_the_scale_since_the_commissioning_takes_a_weight_in_both(tmp_path: Path
     alone, _ = weighed_scale(request)
     since, _ = weighed_scale(replace(request, reference=tmp_path / "before"))
     assert alone is not None
-    assert since is not None
     assert not is_wrong(alone)
     assert is_wrong(since)
     assert since.scale == pytest.approx(0.8, abs=0.01)

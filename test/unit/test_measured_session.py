@@ -61,7 +61,7 @@ def written(folder: Path, *trajectories: Trajectory) -> Path:
     return folder
 
 
-def test_when_trajectories_began() -> None:
+def test_when_trajectories_began():
     for spans, starts in (
         # One clock: pauses count, and so does the order of the stamps, not that of the index.
         ([(2800.0, 2802.0), (1000.0, 1002.0)], [1800.0, 0.0]),
@@ -73,7 +73,7 @@ def test_when_trajectories_began() -> None:
         assert session_starts(spans) == starts
 
 
-def test_a_pause_between_recordings_counts(tmp_path: Path) -> None:
+def test_a_pause_between_recordings_counts(tmp_path):
     times_s = {"press_0": 1000.0, "press_1": 1003.0, "press_2": 2800.0}
     data = written(tmp_path / "data", *(press(*one) for one in times_s.items()))
     recordings = read_measurement(data, own_skin=SKIN).recordings
@@ -83,7 +83,7 @@ def test_a_pause_between_recordings_counts(tmp_path: Path) -> None:
     assert [r.session_s for r in planned] == pytest.approx([0.0, 3.0, 1800.0])
 
 
-def test_a_trajectory_that_is_left_out_took_its_time(tmp_path: Path) -> None:
+def test_a_trajectory_that_is_left_out_took_its_time(tmp_path):
     names = ("press_0", "press_1", "press_2")
     each = [press(name, 1.0, with_force=name != "press_1", with_images=True) for name in names]
     data = written(tmp_path / "data", *each)
@@ -95,7 +95,7 @@ def test_a_trajectory_that_is_left_out_took_its_time(tmp_path: Path) -> None:
     assert starts_s == pytest.approx([0.0, 2.0, 4.0])
 
 
-def test_data_that_hold_images_alone_are_searched_by_their_images(tmp_path: Path) -> None:
+def test_data_that_hold_images_alone_are_searched_by_their_images(tmp_path):
     each = [press(f"press_{k}", 1.0, with_force=False, with_images=True) for k in (0, 1)]
     alone = written(tmp_path / "alone", *each)
     assert channels_of(alone) == ("image",)
@@ -114,7 +114,7 @@ def recording_of_depths(depth_m: FloatArray) -> Recording:
     return Recording(measured, BALL, 0.0, depth_m, phases_of(poses, stamp_s, depth_m))
 
 
-def test_a_trajectory_that_presses_nothing_tells_nothing_of_the_discrepancy() -> None:
+def test_a_trajectory_that_presses_nothing_tells_nothing_of_the_discrepancy():
     random = np.random.default_rng(2)
     deep = recording_of_depths(np.array([0.2e-3, 0.8e-3, 1.4e-3]))
     idle = recording_of_depths(np.full(3, -1e-3))

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,7 +54,7 @@ def renamed(found: Calibration) -> Calibration:
     """Return a calibration whose presses have the odd names."""
     of = dict(zip(found.fits, NAMES, strict=False))
 
-    def again(values: dict) -> dict:  # type: ignore[type-arg]
+    def again(values: dict) -> dict:
         return {of.get(name, name): value for name, value in values.items()}
 
     return replace(
@@ -77,7 +75,7 @@ def shown_in(page: str) -> str:
 
 
 @pytest.fixture
-def data(tmp_path: Path) -> Path:
+def data(tmp_path):
     still = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
     press = Trajectory(
         pose=PoseChannel(TIMES_NS, np.full((3, 3), 0.015), still),
@@ -89,13 +87,7 @@ def data(tmp_path: Path) -> Path:
 
 
 @pytest.mark.fault("calibrate", "a bag's name with $, <script>, a newline, 240 letters or a bell")
-def test_a_calibration_reports_presses_of_any_name(
-    tmp_path: Path,
-    data: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    answered: Callable[..., None],
-) -> None:
+def test_a_calibration_reports_presses_of_any_name(tmp_path, data, monkeypatch, capsys, answered):
     found = renamed(calibration(len(NAMES)))
     monkeypatch.setattr(calibrate_module, "run_calibration", lambda *_: found)
     out = tmp_path / "fitted.yaml"
@@ -113,9 +105,7 @@ def test_a_calibration_reports_presses_of_any_name(
 
 
 @pytest.mark.fault("calibrate", "the report cannot be written after all solves")
-def test_the_sensor_is_written_before_the_report(
-    tmp_path: Path, data: Path, monkeypatch: pytest.MonkeyPatch, answered: Callable[..., None]
-) -> None:
+def test_the_sensor_is_written_before_the_report(tmp_path, data, monkeypatch, answered):
     def full(*_given: object, **_named: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -128,9 +118,7 @@ def test_the_sensor_is_written_before_the_report(
 
 
 @pytest.mark.fault("find-gap", "a bag's name with $, <script>, a newline, 240 letters or a bell")
-def test_a_gap_is_reported_for_trajectories_of_any_name(
-    tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_a_gap_is_reported_for_trajectories_of_any_name(tmp_path, answered):
     findings = named()
     of = dict(zip(sorted({p.trajectory for p in findings.places}), NAMES, strict=False))
     assert findings.worst is not None
@@ -154,7 +142,7 @@ def test_a_gap_is_reported_for_trajectories_of_any_name(
 
 
 @pytest.mark.fault("view", "a bag's name with $ or markup")
-def test_a_bag_of_any_name_is_shown(tmp_path: Path, answered: Callable[..., None]) -> None:
+def test_a_bag_of_any_name_is_shown(tmp_path, answered):
     name = "".join(NAMES[:5]).replace("/", "")
     image = np.random.default_rng(0).integers(0, 255, (3, 24, 32, 3)).astype(np.uint8)
     force = np.array([[0.0, 0.0, 1.0]] * 3)
@@ -169,7 +157,7 @@ def test_a_bag_of_any_name_is_shown(tmp_path: Path, answered: Callable[..., None
     answered(f"the sheet is made: {one_line(made.name)}")
 
 
-def test_markup_in_names_is_no_markup_in_a_report() -> None:
+def test_markup_in_names_is_no_markup_in_a_report():
     page = Page("t", NAMES[3], (Section("s", (Bullets(NAMES), Table(("a",), ((NAMES[2],),)))),))
     text = as_markdown(page)
     assert r"\`code\` \[a](b) \*c\* \_d\_ \~\~e\~\~" in text
@@ -179,7 +167,7 @@ def test_markup_in_names_is_no_markup_in_a_report() -> None:
     assert "\n# first" not in text
 
 
-def test_a_label_is_short_and_no_formula() -> None:
+def test_a_label_is_short_and_no_formula():
     from matplotlib import cbook
 
     for label in map(figure_label, NAMES):

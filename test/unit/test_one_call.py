@@ -7,10 +7,8 @@ the command line asks for is what the calls are given."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +42,7 @@ def press(name: str) -> Trajectory:
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data(tmp_path_factory):
     folder = tmp_path_factory.mktemp("one_call") / "data"
     presses = [(press(f"press_{number}"), BALL) for number in range(3)]
     write_data_set(folder, [*presses, (press("flat"), PUNCH)], skin=SKIN)
@@ -69,9 +67,7 @@ def files_below(folder: Path) -> dict[Path, int]:
         ({"joint_steps": 5}, "joint_steps is 5, expected 0 to 4"),
     ],
 )
-def test_a_calibration_that_cannot_be_run_touches_nothing(
-    tmp_path: Path, data: Path, given: dict[str, Any], reason: str
-) -> None:
+def test_a_calibration_that_cannot_be_run_touches_nothing(tmp_path, data, given, reason):
     before = files_below(data)
     given = {
         "out": tmp_path / given.get("out", "fitted.yaml"),
@@ -84,7 +80,7 @@ def test_a_calibration_that_cannot_be_run_touches_nothing(
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[CalibrationRequest]:
+def asked(monkeypatch):
     """What was to be calibrated; nothing is solved."""
     requests: list[CalibrationRequest] = []
 
@@ -96,12 +92,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[CalibrationRequest]:
     return requests
 
 
-def test_the_command_asks_for_what_the_call_is_given(
-    tmp_path: Path,
-    data: Path,
-    asked: list[CalibrationRequest],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_command_asks_for_what_the_call_is_given(tmp_path, data, asked, capsys):
     out, copy = tmp_path / "a.yaml", tmp_path / "figures" / "a.json"
     line = f"calibrate --data {data} --out {out} --sensor sensor_a --fit E friction offset"
     line += " --loss chamfer force --leave-out flat_punch --joint-steps 1 --solves 12 --workers 3"
@@ -137,9 +128,7 @@ def test_the_command_asks_for_what_the_call_is_given(
     assert report.is_file()
 
 
-def test_without_a_file_to_write_nothing_is_left(
-    tmp_path: Path, data: Path, asked: list[CalibrationRequest], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_file_to_write_nothing_is_left(tmp_path, data, asked, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found = calibrate(read_data_set(data), sensor=load_sensor("densetact2"))
     assert found.specification == load_sensor("densetact2")
@@ -167,9 +156,7 @@ def test_without_a_file_to_write_nothing_is_left(
         ({"sensor": "sensor_x"}, FileNotFoundError, "did you mean 'sensor_a'"),
     ],
 )
-def test_a_search_that_cannot_be_run_touches_nothing(
-    tmp_path: Path, data: Path, given: dict[str, Any], error: type[Exception], reason: str
-) -> None:
+def test_a_search_that_cannot_be_run_touches_nothing(tmp_path, data, given, error, reason):
     with pytest.raises(error, match=reason):
         find_gap(data, out=tmp_path / "report", **given)
     assert list(tmp_path.iterdir()) == []
@@ -186,15 +173,8 @@ def test_a_search_that_cannot_be_run_touches_nothing(
     ],
 )
 def test_a_wrong_argument_leaves_a_finished_report_as_it_is(
-    tmp_path: Path,
-    data: Path,
-    line: str,
-    status: int,
-    said: str,
-    searched: Callable[[Exception | None], list[GapRequest]],
-    capsys: pytest.CaptureFixture[str],
-    answered: Callable[..., None],
-) -> None:
+    tmp_path, data, line, status, said, searched, capsys, answered
+):
     searched(None)
     out = tmp_path / "report"
     find_gap(data, out=out)
@@ -208,9 +188,7 @@ def test_a_wrong_argument_leaves_a_finished_report_as_it_is(
         answered(f"{answer} The report is as it was.", what="a wrong argument (--alpha 7)")
 
 
-def test_the_demonstration_takes_no_argument_that_it_would_ignore(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_demonstration_takes_no_argument_that_it_would_ignore(tmp_path, capsys):
     line = f"find-gap --demo --out {tmp_path / 'demo'} --candidates gamma --alpha 0.1"
     assert main(line.split()) == 1
     assert "leave out --candidates, --alpha" in capsys.readouterr().err
@@ -225,14 +203,8 @@ def test_the_demonstration_takes_no_argument_that_it_would_ignore(
     ],
 )
 def test_the_demonstration_opens_the_truth_after_the_search_of_a_shipped_set(
-    tmp_path: Path,
-    searched: Callable[[Exception | None], list[GapRequest]],
-    capsys: pytest.CaptureFixture[str],
-    seed: int,
-    hidden: str,
-    answer: str,
-    status: int,
-) -> None:
+    tmp_path, searched, capsys, seed, hidden, answer, status
+):
     requests = searched(None)
     line = f"find-gap --demo --seed {seed} --out {tmp_path / 'demo'} --workers 1"
     assert main(line.split()) == status
@@ -247,7 +219,7 @@ def test_the_demonstration_opens_the_truth_after_the_search_of_a_shipped_set(
 
 
 @pytest.fixture
-def searched(monkeypatch: pytest.MonkeyPatch) -> Callable[[Exception | None], list[GapRequest]]:
+def searched(monkeypatch):
     """Return what makes every search end in no gap, or in an error, and says what was searched."""
 
     def end_in(error: Exception | None) -> list[GapRequest]:
@@ -265,12 +237,7 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> Callable[[Exception | None], li
     return end_in
 
 
-def test_the_search_of_the_command_is_that_of_the_call(
-    tmp_path: Path,
-    data: Path,
-    searched: Callable[[Exception | None], list[GapRequest]],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_search_of_the_command_is_that_of_the_call(tmp_path, data, searched, capsys):
     requests = searched(None)
     out = tmp_path / "report"
     line = f"find-gap --measured {data} --out {out} --sensor densetact2 --alpha 0.05 --budget 7"
@@ -295,9 +262,7 @@ def test_the_search_of_the_command_is_that_of_the_call(
     assert (out / "findings.json").read_text() == (tmp_path / "found.json").read_text()
 
 
-def test_data_that_cannot_be_used_are_a_verdict_with_a_report(
-    tmp_path: Path, data: Path, searched: Callable[[Exception | None], list[GapRequest]]
-) -> None:
+def test_data_that_cannot_be_used_are_a_verdict_with_a_report(tmp_path, data, searched):
     searched(ValueError("no force in any bag"))
     findings = find_gap(data, out=tmp_path / "report")
     assert findings.verdict is Verdict.UNUSABLE
@@ -320,8 +285,8 @@ def test_data_that_cannot_be_used_are_a_verdict_with_a_report(
     ids=lambda given: getattr(given, "value", given),
 )
 def test_each_verdict_ends_the_command_with_the_documented_status(
-    tmp_path: Path, data: Path, verdict: Verdict, status: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, data, verdict, status, monkeypatch
+):
     found = Findings(verdict, "What was found.")
     monkeypatch.setattr(find_module, "find_gap_with_images", lambda *_: (found, None))
     assert main(["find-gap", "--measured", str(data), "--out", str(tmp_path / "report")]) == status
@@ -331,12 +296,7 @@ def test_each_verdict_ends_the_command_with_the_documented_status(
     assert words.get(verdict, verdict.value.replace("_", " ")) in rows[str(status)]
 
 
-def test_a_search_without_a_report_leaves_nothing(
-    tmp_path: Path,
-    data: Path,
-    searched: Callable[[Exception | None], list[GapRequest]],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_search_without_a_report_leaves_nothing(tmp_path, data, searched, monkeypatch):
     requests = searched(None)
     monkeypatch.chdir(tmp_path)
     assert find_gap(data).sentence == "No gap."
@@ -344,7 +304,7 @@ def test_a_search_without_a_report_leaves_nothing(
     assert not requests[0].directory.parent.exists()
 
 
-def test_a_data_set_that_is_not_there_is_no_verdict(tmp_path: Path) -> None:
+def test_a_data_set_that_is_not_there_is_no_verdict(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"is no data set: it holds no dataset\.yaml"):
         find_gap(tmp_path / "nowhere", out=tmp_path / "report")
     with pytest.raises(FileNotFoundError, match=r"is no data set: it holds no dataset\.yaml"):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -32,13 +31,7 @@ COMMANDS = (
 @pytest.mark.fault("calibrate", "--out below a file, on a read-only or a full disk")
 @pytest.mark.parametrize("line", COMMANDS, ids=lambda line: " ".join(line.split()[:2]))
 @pytest.mark.parametrize("place", ["file/below", "/proc/below"])
-def test_no_command_begins_where_it_cannot_write(
-    tmp_path: Path,
-    line: str,
-    place: str,
-    capsys: pytest.CaptureFixture[str],
-    answered: Callable[..., None],
-) -> None:
+def test_no_command_begins_where_it_cannot_write(tmp_path, line, place, capsys, answered):
     (tmp_path / "file").write_text("no folder")
     out = str(tmp_path / place)
     # That there are no data is not reached.
@@ -61,7 +54,7 @@ sys.exit(main(["find-gap", "--measured", sys.argv[1], "--out", sys.argv[1] + "/r
 
 
 @pytest.mark.fault("find-gap", "--out on a disk that is full")
-def test_no_room_is_seen_beforehand(tmp_path: Path, answered: Callable[..., None]) -> None:
+def test_no_room_is_seen_beforehand(tmp_path, answered):
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=False
     )
@@ -73,7 +66,7 @@ def test_no_room_is_seen_beforehand(tmp_path: Path, answered: Callable[..., None
     answered(done.stderr.replace("File too large", "No space left on device"))
 
 
-def test_the_calls_look_as_the_commands_do(tmp_path: Path) -> None:
+def test_the_calls_look_as_the_commands_do(tmp_path):
     (tmp_path / "file").write_text("no folder")
     (tmp_path / "folder.yaml").mkdir()
     (tmp_path / "dataset.yaml").write_text("trajectories: []")

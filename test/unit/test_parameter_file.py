@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,11 +25,11 @@ CONTENTS = {
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
-def test_every_shipped_file_is_taken(path: Path) -> None:
+def test_every_shipped_file_is_taken(path):
     check_params_file(str(path))
 
 
-def test_parameters_may_stand_below_namespaces(tmp_path: Path) -> None:
+def test_parameters_may_stand_below_namespaces(tmp_path):
     path = tmp_path / "node.yaml"
     path.write_text("left: {arm: {tactile_policy: {ros__parameters: {force_limit_n: 8.0}}}}\n")
     check_parameter_file(str(path))
@@ -45,9 +44,7 @@ NAMES = {
 
 @pytest.mark.fault("node parameters", "a launch's `params_file` that is no file")
 @pytest.mark.parametrize("what", NAMES)
-def test_a_launch_refuses_what_is_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, answered: Callable[..., None]
-) -> None:
+def test_a_launch_refuses_what_is_no_file(tmp_path, monkeypatch, what, answered):
     monkeypatch.chdir(tmp_path)
     Path("params").mkdir()
     name, reason = NAMES[what]
@@ -58,12 +55,7 @@ def test_a_launch_refuses_what_is_no_file(
 
 @pytest.mark.fault("node parameters", "a launch's `params_file` that is no file of parameters")
 @pytest.mark.parametrize("what", CONTENTS)
-def test_a_launch_refuses_a_file_without_parameters(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    what: str,
-    answered: Callable[..., None],
-) -> None:
+def test_a_launch_refuses_a_file_without_parameters(tmp_path, monkeypatch, what, answered):
     monkeypatch.chdir(tmp_path)
     Path("mine.yaml").write_text(CONTENTS[what])
     with pytest.raises(ValueError, match=r"no node is started: mine\.yaml") as caught:
@@ -72,7 +64,7 @@ def test_a_launch_refuses_a_file_without_parameters(
     answered(caught.value, what=f"a launch's `params_file` {what}")
 
 
-def test_what_launch_files_ask_of_one_loads_neither_ros_nor_what_nodes_need() -> None:
+def test_what_launch_files_ask_of_one_loads_neither_ros_nor_what_nodes_need():
     code = (
         "import sys, dotsim_ros.nodes.indenter_player.launched\n"
         "print({'rclpy', 'cv2', 'warp', 'scipy', 'torch'} & set(sys.modules))"

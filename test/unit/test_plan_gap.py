@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.data.data_set_writer import write_data_set
@@ -57,8 +56,8 @@ def alike(plan: dict[str, Any]) -> dict[frozenset[str], dict[str, Any]]:
 
 
 def test_a_press_cannot_tell_a_latency_from_an_offset_and_the_way_back_can(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(pool, "open_worker_pool", in_this_process)
     (tmp_path / "press").mkdir()
     (tmp_path / "back").mkdir()

@@ -24,9 +24,8 @@ from dotsim_ros.data.measurement import read_measurement
 from dotsim_ros.data.plausibility import check_same_shape
 from dotsim_ros.data.reading import (
     BadBagError,
+    PressReader,
     read_bag,
-    read_observation,
-    read_observations,
     read_press_images,
 )
 from dotsim_ros.data.trajectory import (
@@ -78,7 +77,6 @@ def press(modulus_pa: float = MODULUS_PA, *, share: float = 1.0) -> Trajectory:
 
 def forces(change: Callable[[Array], Array]) -> Callable[[Trajectory], Trajectory]:
     def changed(good: Trajectory) -> Trajectory:
-        assert good.wrench is not None
         return replace(good, wrench=replace(good.wrench, force_n=change(good.wrench.force_n)))
 
     return changed
@@ -86,7 +84,6 @@ def forces(change: Callable[[Array], Array]) -> Callable[[Trajectory], Trajector
 
 def skins(change: Callable[[Array], Array]) -> Callable[[Trajectory], Trajectory]:
     def changed(good: Trajectory) -> Trajectory:
-        assert good.skin is not None
         moved = np.ascontiguousarray(change(good.skin.position_m)).astype(np.float32)
         return replace(good, skin=replace(good.skin, position_m=moved))
 
@@ -196,11 +193,11 @@ def written(folder: Path, trajectory: Trajectory) -> DataSet:
 
 def read(data_set: DataSet, *, has_vertices: bool = True) -> None:
     (entry,) = data_set.entries
-    read_observation(data_set, entry, skin=SKIN, has_vertices=has_vertices)
+    PressReader(data_set, SKIN, has_vertices).read(entry)
 
 
 @pytest.fixture(scope="module")
-def refused(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+def refused(tmp_path_factory):
     presses = [replace(change(press()), name=f"press {k}") for k, (change, _) in enumerate(CASES)]
     folder = tmp_path_factory.mktemp("refused") / "data"
     # Of the writer's skin no press may lack a point.
@@ -212,12 +209,10 @@ def refused(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 
 @pytest.mark.fault("bags and data sets", "a press that no gel gives")
 @pytest.mark.parametrize("what", list(REFUSED))
-def test_what_no_press_gives_is_refused(
-    refused: DataSet, what: str, answered: Callable[..., None]
-) -> None:
+def test_what_no_press_gives_is_refused(refused, what, answered):
     entry = refused.entries[list(REFUSED).index(what)]
     with pytest.raises(BadBagError, match=REFUSED[what][1]) as error:
-        read_observation(refused, entry, skin=SKIN, has_vertices=True)
+        PressReader(refused, SKIN, True).read(entry)
     assert "\n" not in str(error.value)
     answered(error.value, what=what)
 
@@ -237,9 +232,7 @@ def out_of_order(message: Any) -> None:
         ("/indenter/pose", out_of_order, "message 3: stamp .* does not come after .*one clock"),
     ],
 )
-def test_a_message_that_no_writer_takes_is_refused(
-    tmp_path: Path, topic: str, change: Callable[[Any], None], reason: str
-) -> None:
+def test_a_message_that_no_writer_takes_is_refused(tmp_path, topic, change, reason):
     data_set = written(tmp_path, press())
     (entry,) = data_set.entries
     bad = replace(entry, bag=tmp_path / "press")
@@ -250,10 +243,10 @@ def test_a_message_that_no_writer_takes_is_refused(
                 change(message)
             file.write(item.topic, item.log_time_ns, message)
     with pytest.raises(BadBagError, match=f"^press, {topic}, {reason}"):
-        read_observation(data_set, bad, skin=SKIN, has_vertices=True)
+        PressReader(data_set, SKIN, True).read(bad)
 
 
-def test_what_can_be_read_is_read_and_the_rest_is_named(tmp_path: Path) -> None:
+def test_what_can_be_read_is_read_and_the_rest_is_named(tmp_path):
     data_set = written(tmp_path, press())
     (entry,) = data_set.entries
     wrong_topic = Topics(wrench="/tactile/skin")
@@ -261,14 +254,14 @@ def test_what_can_be_read_is_read_and_the_rest_is_named(tmp_path: Path) -> None:
         read_bag(entry, topics=wrong_topic, channels=("pose", "wrench"))
     lost = replace(entry, name="lost", indenter="spere")
     both = replace(data_set, entries=(entry, lost))
-    found, (omitted,) = read_observations(both, ["press", "lost"], skin=SKIN, has_vertices=True)
+    found, (omitted,) = PressReader(both, SKIN, True).read_all(["press", "lost"])
     assert [one.press.name for one in found] == ["press"]
     assert found[0].press.frame_count == len(STAMP_NS)
     assert omitted.name == "lost"
     assert re.search(r"lost: no mesh .*spere.*holds sphere.*correct the name", omitted.reason)
 
 
-def test_the_gap_finder_reads_by_the_same_gates(refused: DataSet) -> None:
+def test_the_gap_finder_reads_by_the_same_gates(refused):
     with pytest.raises(ValueError, match="no trajectory can be used"):
         read_measurement(refused.directory, own_skin=SKIN)
 
@@ -279,7 +272,6 @@ def hidden(name: str, size: float) -> Callable[[Trajectory], Trajectory]:
 
     def changed(good: Trajectory) -> Trajectory:
         assert good.pose is not None
-        assert good.wrench is not None
         assert good.skin is not None
         stamp_s = 1e-9 * STAMP_NS
         random = np.random.default_rng(0)
@@ -323,7 +315,7 @@ FAULTS = {
 }
 
 
-def test_what_sensors_have_passes(tmp_path: Path) -> None:
+def test_what_sensors_have_passes(tmp_path):
     changed = {what: change(press()) for what, change in FAULTS.items()}
     soft_to_hard = {f"{modulus:g} Pa": press(modulus) for modulus in (5.0e3, 3.0e4, 1.0e6, 8.0e6)}
     presses = [
@@ -332,16 +324,16 @@ def test_what_sensors_have_passes(tmp_path: Path) -> None:
     ]
     data_set = write_data_set(tmp_path / "data", presses, skin=SKIN)
     names = [entry.name for entry in data_set.entries]
-    found, omitted = read_observations(data_set, names, skin=SKIN, has_vertices=True)
+    found, omitted = PressReader(data_set, SKIN, True).read_all(names)
     assert not omitted
     assert len(found) == len(FAULTS) + 4
 
 
-def test_points_need_no_order_where_there_is_no_mesh(tmp_path: Path) -> None:
+def test_points_need_no_order_where_there_is_no_mesh(tmp_path):
     read(written(tmp_path, skins(lambda x: x[:, ::-1])(press())), has_vertices=False)
 
 
-def test_a_base_frame_of_another_name_is_said_in_the_index(tmp_path: Path) -> None:
+def test_a_base_frame_of_another_name_is_said_in_the_index(tmp_path):
     other = press()
     for channel in ("pose", "wrench", "skin"):
         other = framed(channel, "finger_base")(other)
@@ -360,9 +352,7 @@ FILM = np.stack([IDLE + number for number in range(len(STAMP_NS))]).astype(np.ui
 
 @pytest.mark.fault("bags and data sets", "images, or forces next to them, by another clock")
 @pytest.mark.parametrize("channel", ["image", "wrench"])
-def test_images_by_another_clock_are_refused(
-    tmp_path: Path, channel: str, answered: Callable[..., None]
-) -> None:
+def test_images_by_another_clock_are_refused(tmp_path, channel, answered):
     good = replace(press(), image=ImageChannel(STAMP_NS, FILM))
     (entry,) = written(tmp_path / "good", good).entries
     assert read_press_images(entry, idle=IDLE).press.frame_count == len(STAMP_NS)
@@ -375,7 +365,7 @@ def test_images_by_another_clock_are_refused(
 
 
 @pytest.mark.fault("bags and data sets", "a camera that gives one image again and again")
-def test_images_that_stand_still_are_refused(tmp_path: Path, answered: Callable[..., None]) -> None:
+def test_images_that_stand_still_are_refused(tmp_path, answered):
     images = ImageChannel(STAMP_NS, np.repeat(IDLE[None], len(STAMP_NS), axis=0))
     (entry,) = written(tmp_path, replace(press(), image=images)).entries
     with pytest.raises(BadBagError, match=r"all 9 images are the same to the bit") as refused:
@@ -383,7 +373,7 @@ def test_images_that_stand_still_are_refused(tmp_path: Path, answered: Callable[
     answered(refused.value)
 
 
-def test_the_skin_of_another_sensor_is_refused() -> None:
+def test_the_skin_of_another_sensor_is_refused():
     pad = flat_pad_skin((0.03, 0.03), 0.01, 2e-3)
     with pytest.raises(ValueError, match=r"the skin of data lies .* mm off that of the sensor pad"):
         check_same_shape(SKIN, pad, data="data", sensor="pad")

@@ -5,16 +5,12 @@
 
 from __future__ import annotations
 
-import pytest
-
 from dotsim_ros.gap.presses.search_state import SolveProgress
 from dotsim_ros.io import progress
 from dotsim_ros.io.progress import PrintedProgress
 
 
-def test_the_time_left_follows_the_rate_since_the_first_is_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_time_left_follows_the_rate_since_the_first_is_told(monkeypatch, capsys):
     clock = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
     told = PrintedProgress()
@@ -50,7 +46,7 @@ def test_the_time_left_follows_the_rate_since_the_first_is_told(
     assert capsys.readouterr().err.splitlines() == ["nulls: 100/1000, 540 s left"]
 
 
-def test_solves_count_over_the_steps_that_are_planned() -> None:
+def test_solves_count_over_the_steps_that_are_planned():
     told: list[tuple[str, int, int]] = []
     solving = SolveProgress(lambda *one: told.append(one), later=60)
     solving(0, 40)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,9 +85,7 @@ def what_of(found: dict[str, bytes], new: dict[str, bytes]) -> str:
 
 
 @pytest.mark.fault("find-gap", "SIGKILL while a report takes the place of another, at every step")
-def test_a_killed_writer_leaves_no_mix_of_two_reports(
-    tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_a_killed_writer_leaves_no_mix_of_two_reports(tmp_path, answered):
     whole = {name: content for name, content in NEW.items() if content is not None}
     done = subprocess.run(
         [sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True, text=True, check=True
@@ -124,9 +121,7 @@ except OSError as error:
 
 
 @pytest.mark.fault("find-gap", "the disk is full while the report is written")
-def test_a_full_disk_leaves_the_report_before(
-    tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_a_full_disk_leaves_the_report_before(tmp_path, answered):
     replace_files(tmp_path / "report", OLD)
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(tmp_path / "report")],
@@ -141,7 +136,7 @@ def test_a_full_disk_leaves_the_report_before(
     answered(done.stdout.replace("File too large", "No space left on device"))
 
 
-def test_what_the_user_wrote_or_changed_is_kept(tmp_path: Path) -> None:
+def test_what_the_user_wrote_or_changed_is_kept(tmp_path):
     (tmp_path / "report.html").write_bytes(b"of the user")
     (tmp_path / "notes.md").write_bytes(b"notes")
     replace_files(tmp_path, OLD)
@@ -164,9 +159,7 @@ def overlay() -> Overlay:
 
 
 @pytest.mark.fault("find-gap", "unusable data, in the folder of a good report")
-def test_unusable_data_keep_the_good_report_beside_theirs(
-    tmp_path: Path, answered: Callable[..., None]
-) -> None:
+def test_unusable_data_keep_the_good_report_beside_theirs(tmp_path, answered):
     library = load_effects()
     write_report(
         tmp_path, replace(named(), worst=None, places=()), effects=library, overlay=overlay()
@@ -195,7 +188,7 @@ def shown_files(folder: Path) -> set[str]:
 
 
 @pytest.mark.fault("bags and data sets", "demo --out DIR, where DIR/presses is somebody's data")
-def test_only_what_was_made_so_is_removed(tmp_path: Path, answered: Callable[..., None]) -> None:
+def test_only_what_was_made_so_is_removed(tmp_path, answered):
     own = tmp_path / "presses"
     own.mkdir()
     bag = own / "metadata.yaml"

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from dotsim_ros.cli.main import main
@@ -18,7 +16,7 @@ from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.specification import load_sensor, read_source, sensor_path
 
 
-def test_every_shipped_sensor_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_shipped_sensor_is_listed(tmp_path, capsys):
     path = tmp_path / "sensors.json"
     assert main(["sensors", "--json", str(path), "--seed", "3"]) == 0
     first, *rows = capsys.readouterr().out.splitlines()
@@ -37,9 +35,7 @@ def test_every_shipped_sensor_is_listed(tmp_path: Path, capsys: pytest.CaptureFi
     assert "no shipped sensor 'digits'; there are densetact2, digit," in capsys.readouterr().err
 
 
-def test_a_rate_is_measured_where_it_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rate_is_measured_where_it_is_asked_for(tmp_path, capsys):
     path = tmp_path / "sensors.json"
     assert main(["sensors", "flat_pad", "--frames", "3", "--json", str(path)]) == 0
     (flat,) = read_json(path)["sensors"]
@@ -54,7 +50,7 @@ def test_a_rate_is_measured_where_it_is_asked_for(
 
 
 @pytest.mark.parametrize("name", shipped_names("sensors"))
-def test_a_shipped_sensor_says_its_source_and_has_an_image(name: str) -> None:
+def test_a_shipped_sensor_says_its_source_and_has_an_image(name):
     sensor = load_sensor(name)
     assert sensor.name == name
     assert read_source(sensor_path(name))

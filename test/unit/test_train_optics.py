@@ -12,11 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.cli import calibrate_camera, train_optics
-from dotsim_ros.cli._split import filmed_split
+from dotsim_ros.cli import train_optics
 from dotsim_ros.cli.main import main
 from dotsim_ros.data.data_set import read_data_set
-from dotsim_ros.data.split import hold_out_of_protocols
+from dotsim_ros.data.split import hold_out_of_protocols, split_of, usual_hold_out
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.learning.pattern import refined_idle, untouched_frames
@@ -75,31 +74,19 @@ def test_the_command_line_knows_every_network():
     assert sorted(get_args(train_optics.Network)) == sorted(learning.KINDS)
 
 
-def split_of(trajectories=(), leave_out=(), hold_out=None, usual=len):
-    return filmed_split(
-        SENSOR_A,
-        trajectories=trajectories,
-        leave_out=leave_out,
-        hold_out=hold_out,
-        usual=usual,
-        seed=0,
-    )
-
-
 @needs_data
-@pytest.mark.parametrize("command", [calibrate_camera, train_optics])
-def test_camera_and_network_are_judged_on_what_the_gel_is_judged_on(command):
-    _, held_out = split_of(usual=command.usual_hold_out)
-    names = [entry.name for entry in read_data_set(SENSOR_A).entries]
-    assert sorted(held_out) == sorted(hold_out_of_protocols(names)[1])
+def test_camera_and_network_are_judged_on_what_the_gel_is_judged_on():
+    data_set = read_data_set(SENSOR_A)
+    expected = hold_out_of_protocols([entry.name for entry in data_set.entries])
+    for usual in (usual_hold_out, train_optics.usual_hold_out):
+        count = usual(len(data_set.filmed()))
+        assert split_of(data_set.filmed(), hold_out=count) == split_of(data_set.entries) == expected
 
 
 @needs_data
 def test_a_camera_is_fitted_to_the_trajectories_named():
-    drawn = split_of(trajectories=("4_torus_1", "2_cone_0"), hold_out=0)
-    assert drawn == (("2_cone_0", "4_torus_1"), ())
-    with pytest.raises(ValueError, match="no trajectory with images named 9_none"):
-        split_of(trajectories=("2_cone_0", "9_none"))
+    named = read_data_set(SENSOR_A).filmed(["4_torus_1", "2_cone_0"])
+    assert split_of(named, hold_out=0) == (("2_cone_0", "4_torus_1"), ())
 
 
 @needs_data

@@ -4,7 +4,6 @@
 """Trajectories in bags: exact there and back, whole or not at all, malformed ones refused."""
 
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -188,8 +187,8 @@ def test_data_set_is_read(tmp_path, trajectory):
 
 
 def test_a_mesh_is_looked_for_in_the_data_set_then_beside_it_or_in_the_folder_named(
-    tmp_path: Path, trajectory: Trajectory
-) -> None:
+    tmp_path, trajectory
+):
     data = tmp_path / "mine"
     _data_set(data, trajectory)
     meshes = {}
@@ -212,9 +211,7 @@ def test_a_mesh_is_looked_for_in_the_data_set_then_beside_it_or_in_the_folder_na
     assert data_set.indenter_file("ball", meshes["named"].parent) == meshes["named"]
 
 
-def test_an_indenter_is_a_mesh_a_description_or_a_definition(
-    tmp_path: Path, trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_indenter_is_a_mesh_a_description_or_a_definition(tmp_path, trajectory, monkeypatch):
     _data_set(tmp_path / "data", trajectory)
     data_set = read_data_set(tmp_path / "data")
     folder = tmp_path / "data" / "indenters"

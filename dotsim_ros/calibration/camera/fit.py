@@ -167,7 +167,6 @@ def fit_camera(
     *,
     lens_filmed: FilmedData | None = None,
     lens: Sequence[CameraParameter] = LENS,
-    lights: Sequence[CameraParameter] = LIGHTS,
     rounds: int = ROUNDS,
     progress: Progress = lambda _line: None,
 ) -> CameraFit:
@@ -179,7 +178,6 @@ def fit_camera(
         lens_filmed: the same images with better shapes of the skin, for the lens alone; by default
             those of `filmed`. Measured vertices are noisy, which ruins their normals.
         lens: parameters of the lens that are free.
-        lights: parameters of the lights that are free.
         rounds: how often lens and lights take turns.
         progress: called with a line that says what is being done.
 
@@ -187,17 +185,15 @@ def fit_camera(
         ValueError: no frame is deep enough.
     """
     rim = rim_circle(filmed.idle)
-    first = with_gloss(start) if lights else start
+    first = with_gloss(start)
     groups = [
         _Group("lens", lens_filmed or filmed, lens, LENS_BLUR_PX, True, *_priors(first, lens, rim)),
-        _Group("lights", filmed, lights, LIGHTS_BLUR_PX, False, *_priors(first, lights, None)),
+        _Group("lights", filmed, LIGHTS, LIGHTS_BLUR_PX, False, *_priors(first, LIGHTS, None)),
     ]
     steps = [group.centre for group in groups]
     deviations = [group.deviation for group in groups]
     for turn in range(rounds):
         for index, group in enumerate(groups):
-            if not group.parameters:
-                continue
             others = moved(first, groups[1 - index].parameters, steps[1 - index])
             steps[index], deviations[index] = _solve(others, group, steps[index])
             model = moved(others, group.parameters, steps[index])

@@ -167,52 +167,78 @@ def moved(
     return model
 
 
-def _with_camera(model: CameraModel, **changes: Any) -> CameraModel:
-    return replace(model, camera=replace(model.camera, **changes))
-
-
-def _camera_entry(
-    name: str, field: str, index: int, step: float, prior: float, *, at_reference: bool = False
+def _number(
+    name: str,
+    part: str,
+    field: str,
+    step: float,
+    prior: float,
+    *,
+    index: int | None = None,
+    is_factor: bool = False,
+    at_reference: bool = False,
 ) -> CameraParameter:
-    """Return an entry of a list of the camera, moved by pixels of `REFERENCE_HEIGHT_PX` or as it
-    is."""
+    """Return a number of the camera or the lights, or an entry of a list of them.
+
+    Args:
+        name, step, prior: as `CameraParameter`.
+        part: "camera" or "lights".
+        field: of the part.
+        index: of the entry; None for a field that is a number, which among the lights is kept
+            within what a sensor's file takes.
+        is_factor: whether its logarithm is moved.
+        at_reference: whether it is moved by pixels of `REFERENCE_HEIGHT_PX`.
+    """
+
+    def value(model: CameraModel) -> float:
+        found = getattr(getattr(model, part), field)
+        return float(found if index is None else found[index])
 
     def move(model: CameraModel, amount: float) -> CameraModel:
-        entries = np.array(getattr(model.camera, field))
-        entries[index] += (
-            amount * model.camera.height / REFERENCE_HEIGHT_PX if at_reference else amount
-        )
-        return _with_camera(model, **{field: entries})
+        if at_reference:
+            amount = amount * model.camera.height / REFERENCE_HEIGHT_PX
+        before = value(model)
+        after: Any = before * float(np.exp(amount)) if is_factor else before + amount
+        if index is not None:
+            entries = list(getattr(getattr(model, part), field))
+            entries[index] = after
+            after = np.array(entries) if part == "camera" else tuple(entries)
+        elif part == "lights":
+            known = quantities_of(LightingSpecification)[field][1]
+            after = min(max(after, known.low), known.high)
+        return replace(model, **{part: replace(getattr(model, part), **{field: after})})
 
-    return CameraParameter(
-        name, step, prior, move, lambda model: float(getattr(model.camera, field)[index])
-    )
+    return CameraParameter(name, step, prior, move, value)
 
 
-def _turned(model: CameraModel, axis: int, angle_rad: float) -> CameraModel:
-    """Return the model turned about an axis of its own optical frame."""
-    turn = np.zeros(4)
-    turn[axis], turn[3] = np.sin(0.5 * angle_rad), np.cos(0.5 * angle_rad)
-    before = model.camera.pose
-    turned = Pose(before.position_m, quaternion_product(before.quaternion_xyzw, turn))
-    return _with_camera(model, pose=turned)
+def _posed(model: CameraModel, pose: Pose) -> CameraModel:
+    return replace(model, camera=replace(model.camera, pose=pose))
 
 
 def _turn(name: str, axis: int, prior_rad: float) -> CameraParameter:
+    """Return the angle about an axis of the camera's own optical frame."""
+
+    def move(model: CameraModel, angle_rad: float) -> CameraModel:
+        turn = np.zeros(4)
+        turn[axis], turn[3] = np.sin(0.5 * angle_rad), np.cos(0.5 * angle_rad)
+        before = model.camera.pose
+        turned = quaternion_product(before.quaternion_xyzw, turn)
+        return _posed(model, Pose(before.position_m, turned))
+
     return CameraParameter(
         name,
         0.004,
         prior_rad,
-        lambda model, amount: _turned(model, axis, amount),
+        move,
         lambda model: 2.0 * float(model.camera.pose.quaternion_xyzw[axis]),
     )
 
 
 def _place(axis: int) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
-        place = np.array(model.camera.pose.position_m)
-        place[axis] += amount
-        return _with_camera(model, pose=Pose(place, model.camera.pose.quaternion_xyzw))
+        before = model.camera.pose
+        place = before.position_m + amount * np.eye(3)[axis]
+        return _posed(model, Pose(place, before.quaternion_xyzw))
 
     return CameraParameter(
         f"position_{'xyz'[axis]}_m",
@@ -223,93 +249,54 @@ def _place(axis: int) -> CameraParameter:
     )
 
 
+def _with_falloff(model: CameraModel, amount: float) -> CameraModel:
+    first, *others = model.falloff or (0.0,)
+    # A lens loses light towards the edge, and not all of it within the image.
+    return replace(model, falloff=(float(np.clip(first + amount, -0.6, 0.0)), *others))
+
+
 LENS = (
     # A few pixels, as makers state.
-    _camera_entry(CENTRE_NAMES[0], "principal_point_px", 0, 0.25, 3.0, at_reference=True),
-    _camera_entry(CENTRE_NAMES[1], "principal_point_px", 1, 0.25, 3.0, at_reference=True),
-    CameraParameter(
-        "focal_px",
-        0.003,
-        0.01,
-        lambda model, amount: _with_camera(
-            model, focal_px=model.camera.focal_px * float(np.exp(amount))
-        ),
-        lambda model: model.camera.focal_px,
+    *(
+        _number(name, "camera", "principal_point_px", 0.25, 3.0, index=index, at_reference=True)
+        for index, name in enumerate(CENTRE_NAMES)
     ),
-    _camera_entry("k1", "distortion", 0, 0.004, 0.03),
+    _number("focal_px", "camera", "focal_px", 0.003, 0.01, is_factor=True),
+    _number("k1", "camera", "distortion", 0.004, 0.03, index=0),
     _turn("tilt_x_rad", 0, 0.02),
     _turn("tilt_y_rad", 1, 0.02),
     _turn("roll_rad", 2, 0.005),
 )
-"""Where the camera looks, and how; the focal length moves by its logarithm."""
+"""Where the camera looks, and how."""
 
 POSITION = (_place(0), _place(1), _place(2))
 """Where the camera stands, which a few presses hardly identify."""
 
-
-def _with_light(model: CameraModel, name: str, value: float) -> CameraModel:
-    """Return the model with a number of its lights, kept within what a sensor's file takes."""
-    known = quantities_of(LightingSpecification)[name][1]
-    changes: dict[str, Any] = {name: min(max(value, known.low), known.high)}
-    return replace(model, lights=replace(model.lights, **changes))
-
-
-def _light(name: str, step: float, prior: float) -> CameraParameter:
-    def move(model: CameraModel, amount: float) -> CameraModel:
-        return _with_light(model, name, getattr(model.lights, name) + amount)
-
-    return CameraParameter(
-        name, step, prior, move, lambda model: float(getattr(model.lights, name))
-    )
-
-
-def _light_factor(name: str, prior: float) -> CameraParameter:
-    def move(model: CameraModel, amount: float) -> CameraModel:
-        return _with_light(model, name, getattr(model.lights, name) * float(np.exp(amount)))
-
-    return replace(_light(name, 0.1, prior), moved=move)
-
-
-def _azimuth(colour: int) -> CameraParameter:
-    def move(model: CameraModel, amount: float) -> CameraModel:
-        azimuth = list(model.lights.azimuth_deg)
-        azimuth[colour] += amount
-        red, green, blue = azimuth
-        return replace(model, lights=replace(model.lights, azimuth_deg=(red, green, blue)))
-
-    return CameraParameter(
-        f"azimuth_{('red', 'green', 'blue')[colour]}_deg",
-        2.0,
-        10.0,
-        move,
-        lambda model: model.lights.azimuth_deg[colour],
-    )
-
-
-def _falloff() -> CameraParameter:
-    def move(model: CameraModel, amount: float) -> CameraModel:
-        first, *others = model.falloff or (0.0,)
-        # A lens loses light towards the edge, and not all of it within the image.
-        return replace(model, falloff=(float(np.clip(first + amount, -0.6, 0.0)), *others))
-
-    return CameraParameter(
-        "falloff", 0.05, 0.2, move, lambda model: model.falloff[0] if model.falloff else 0.0
-    )
-
-
 LIGHTS = (
-    _light_factor("ambient_fraction", 1.5),
-    _light_factor("exponent", 0.7),
-    _light("gloss", 0.3, 3.0),
-    _light_factor("gloss_exponent", 1.0),
-    _light("radius_m", 0.2e-3, 2.0e-3),
-    _light("height_m", 0.2e-3, 1.0e-3),
-    _light("spread_deg", 2.0, 20.0),
-    _light("crosstalk", 0.02, 0.1),
-    _azimuth(0),
-    _azimuth(1),
-    _azimuth(2),
-    _falloff(),
+    *(
+        _number(name, "lights", name, step, prior, is_factor=is_factor)
+        for name, step, prior, is_factor in (
+            ("ambient_fraction", 0.1, 1.5, True),
+            ("exponent", 0.1, 0.7, True),
+            ("gloss", 0.3, 3.0, False),
+            ("gloss_exponent", 0.1, 1.0, True),
+            ("radius_m", 0.2e-3, 2.0e-3, False),
+            ("height_m", 0.2e-3, 1.0e-3, False),
+            ("spread_deg", 2.0, 20.0, False),
+            ("crosstalk", 0.02, 0.1, False),
+        )
+    ),
+    *(
+        _number(f"azimuth_{colour}_deg", "lights", "azimuth_deg", 2.0, 10.0, index=index)
+        for index, colour in enumerate(("red", "green", "blue"))
+    ),
+    CameraParameter(
+        "falloff",
+        0.05,
+        0.2,
+        _with_falloff,
+        lambda model: model.falloff[0] if model.falloff else 0.0,
+    ),
 )
 """What the coat is lit by, and how the camera responds."""
 

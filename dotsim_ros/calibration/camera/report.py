@@ -8,18 +8,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import cv2
 import numpy as np
 
 from dotsim_ros.calibration.camera.fit import CameraFit
 from dotsim_ros.calibration.camera.model import CameraModel
 from dotsim_ros.calibration.camera.score import CameraFrameScore, by_depth
 from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.optics.picture import change_image, titled
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.twin.footage import FilmedData
 from dotsim_ros.twin.image_metrics import image_psnr_db
 
-CONTRAST = 4
+CONTRAST = 4.0
 """Differences in the sheet are shown so many times larger, around grey."""
 
 Scores = Mapping[str, Mapping[str, Sequence[CameraFrameScore]]]
@@ -85,34 +85,17 @@ def draw_sheet(filmed: FilmedData, model: CameraModel) -> ImageArray:
     press of each indenter."""
     renderer = SkinRenderer(model.camera, filmed.skin)
     image = model.images(filmed)
-    rows, shown = [], set()
+    rows: dict[str, ImageArray] = {}
     for press in filmed.presses:
-        if press.indenter in shown:
+        if press.indenter in rows:
             continue
-        shown.add(press.indenter)
         deepest = int(np.argmax(press.tip_depth_m))
         measured = press.measured[deepest]
         warped = image.warp(renderer.render(press.skin_position_m[deepest]))
-        change = warped.astype(np.int32) - measured
-        enlarged = np.clip(128 + CONTRAST * change, 0, 255).astype(np.uint8)
-        rows.append(
-            np.hstack(
-                [
-                    _titled(measured, f"{press.name} measured"),
-                    _titled(warped, f"warped {image_psnr_db(warped, measured):.1f} dB"),
-                    _titled(enlarged, f"difference x{CONTRAST}"),
-                ]
-            )
-        )
-    return np.vstack(rows)
-
-
-def _titled(image: ImageArray, title: str) -> ImageArray:
-    titled = np.ascontiguousarray(image)
-    if titled is image:
-        titled = image.copy()
-    size = 0.4 * len(image) / 240.0
-    white = (255, 255, 255)
-    place = (4, round(12 * len(image) / 240.0))
-    cv2.putText(titled, title, place, cv2.FONT_HERSHEY_SIMPLEX, size, white, 1, cv2.LINE_AA)
-    return titled
+        shown = {
+            f"{press.name} measured": measured,
+            f"warped {image_psnr_db(warped, measured):.1f} dB": warped,
+            f"difference x{CONTRAST:g}": change_image(warped, measured, CONTRAST),
+        }
+        rows[press.indenter] = np.hstack([titled(pixels, title) for title, pixels in shown.items()])
+    return np.vstack(list(rows.values()))

@@ -14,7 +14,7 @@ much of it is the measure's own noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -69,14 +69,8 @@ class CameraFrameScore:
     errors_px: FloatArray
 
 
-def score_frames(
-    filmed: FilmedData,
-    model: CameraModel,
-    *,
-    progress: Callable[[str], None] = lambda _line: None,
-) -> list[CameraFrameScore]:
-    """Return the scores of all frames by a camera at the images' resolution; progress is called
-    with the name of each press that is done."""
+def score_frames(filmed: FilmedData, model: CameraModel) -> list[CameraFrameScore]:
+    """Return the scores of all frames by a camera at the images' resolution."""
     renderer = SkinRenderer(model.camera, filmed.skin)
     unshaded, shaded = model.images(filmed, is_shaded=False), model.images(filmed)
     lit = lit_region(filmed.idle)
@@ -106,7 +100,6 @@ def score_frames(
                     ),
                 )
             )
-        progress(press.name)
     return scores
 
 

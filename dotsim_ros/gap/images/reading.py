@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from dotsim_ros.data.data_set import DataSet, find_indenter, read_data_set
 from dotsim_ros.data.reading import read_press_images, starts_in_session
 from dotsim_ros.data.recording import Recording, Span, recording_of
-from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.specification import SensorSpecification
 
@@ -90,7 +89,6 @@ def read_images(
     sensor: SensorSpecification,
     indenters: str | Path | None = None,
     names: Sequence[str] | None = None,
-    topics: Topics = MEASURED_TOPICS,
 ) -> MeasuredImages:
     """Read the images of a data set.
 
@@ -99,7 +97,6 @@ def read_images(
         sensor: the twin.
         indenters: folder of the indenters' meshes; None as `find_indenter`.
         names: of the trajectories to read; None for all with images.
-        topics: where the channels lie.
 
     Raises:
         FileNotFoundError: no data set there.
@@ -123,7 +120,7 @@ def read_images(
     digest = hashlib.sha256(idle_images.tobytes())
     for entry in entries:
         try:
-            one = read_press_images(entry, idle=idle_images[0], topics=topics, most=most)
+            one = read_press_images(entry, idle=idle_images[0], most=most)
             indenter = find_indenter(data_set, entry.indenter, indenters)
             spans_s[entry.name] = one.span_s
             recording = recording_of(seen_from(one.press, base_m), indenter, skin, one.delay_s)
@@ -138,7 +135,7 @@ def read_images(
             + "".join(f"; {text}" for text in warnings)
         )
     spans = [spans_s.get(entry.name) for entry in data_set.entries]
-    starts_s = starts_in_session(data_set, spans, topics)
+    starts_s = starts_in_session(data_set, spans)
     trajectories = tuple(
         _later(found[entry.name], start_s)
         for entry, start_s in zip(data_set.entries, starts_s, strict=True)

@@ -1,12 +1,11 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A pool whose workers are actors of a Ray cluster, and lose nothing when one of them dies.
+"""A pool whose workers are those of a Ray cluster, and that loses nothing when one of them dies.
 
-Python's thread pool has the queue: each of its threads takes a task, waits for a worker that is
-idle, and for the answer. Ray places the workers and keeps the large arrays. A task whose worker
-dies goes to any other that is idle. Ray's own retries would wait for the dead worker to be started
-again, and if its machine is gone there may be no room for that.
+Python's thread pool has the queue: each of its threads takes a task, gives it to Ray and waits for
+the answer. Ray finds a worker and keeps the large arrays. A task whose worker dies is given to Ray
+again, a few times: Ray's own retries of what ran out of memory would never end.
 """
 
 from __future__ import annotations
@@ -20,9 +19,8 @@ import uuid
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -32,14 +30,14 @@ import dotsim_ros
 from dotsim_ros.io.printable import cut, one_line
 from dotsim_ros.io.provenance import source_hash
 from dotsim_ros.io.worker_pool import ray_worker
-from dotsim_ros.io.worker_pool.ray_worker import Expected, RayWorker
+from dotsim_ros.io.worker_pool.ray_worker import Expected
 
 MOST_DEATHS = 3
-"""A task that so many workers died of is not tried again, nor is a worker started again that died
-so often at its beginning."""
+"""A task that so many workers died of is not tried again."""
 START_S = 120.0
 """So long no worker, and no CPU free for one: there will be none."""
 LAST_WORDS = 400
+CLOSED = "the pool of workers was closed before this was done"
 LEAST_BYTES = 64 * 1024
 """Smaller arrays travel with the task: to find them elsewhere takes longer than to copy them."""
 KEPT_BYTES = 1 << 30
@@ -109,21 +107,19 @@ class RayPool(ThreadPoolExecutor):
         needed: tuple[str, ...],
     ) -> None:
         super().__init__(count, thread_name_prefix="ray pool")
-        self._ray, self._count = ray, count
+        self._ray = ray
         # Machines of the cluster need not have this module for it to travel there.
         ray.cloudpickle.register_pickle_by_value(ray_worker)
-        self._worker_class = ray.remote(num_cpus=1, max_restarts=0)(RayWorker)
+        remote = ray.remote(num_cpus=1, max_retries=0)
+        self._check, self._work = remote(ray_worker.check), remote(ray_worker.work)
         self._expected = ray.put(expected_of(needed))
         self._shelf = ArrayShelf(ray.put)
         data, arrays = self._shelf.pack((initialize, given))
-        self._beginning = ray.put(data), *arrays
-        self._lock = threading.Lock()
-        self._workers: list[Any] = []
-        self._placed: list[Any] = []
-        self._idle: SimpleQueue[Any] = SimpleQueue()
-        """Workers; None, which stays, once there will be none."""
-        self._is_ended = False
-        self._failure: Exception | None = None
+        self._beginning = self._expected, uuid.uuid4().hex, ray.put(data), len(arrays)
+        self._given_arrays = arrays
+        self._lock, self._first_lock = threading.Lock(), threading.Lock()
+        self._running: set[Any] = set()
+        self._is_placed = self._is_ended = False
         self.task_bytes = 0
 
     @property
@@ -132,142 +128,81 @@ class RayPool(ThreadPoolExecutor):
         return self._shelf.put_bytes
 
     def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
-        """Return the future of a function's answer.
-
-        Raises:
-            RuntimeError: the pool is closed.
-        """
-        if self._failure is not None:
-            raise RuntimeError("the pool is closed; open another one") from self._failure
+        """Return the future of a function's answer."""
         work = self._shelf.pack((function, given, named))
         self.task_bytes += len(work[0])
-        if self._idle.empty():
-            self._add_worker()
         return super().submit(self._do, work)
 
     def end(self) -> None:
-        """End the workers; what they are at is broken off, and what waits is cancelled."""
+        """Break off what the workers are at, and cancel what waits."""
         with self._lock:
             self._is_ended = True
-            workers = list(self._workers)
+            running = list(self._running)
         # Before any thread can take another task.
         self.shutdown(wait=False, cancel_futures=True)
-        self._idle.put(None)
-        for worker in workers:
-            self._kill(worker)
+        for asked in running:
+            self._ray.cancel(asked, force=True)
         self.shutdown()
 
     def _do(self, work: Packed) -> Any:
         """Return the answer to a task.
 
         Raises:
-            OSError: the pool has ended, or worker after worker died of the task.
-            Exception: of the task.
+            OSError: the pool has ended, there is no place for a worker, or worker after worker died
+                of the task.
+            Exception: of the task, or of the initializer.
         """
-        deaths = 0
-        while True:
-            worker = self._idle_worker()
-            try:
-                is_done, answer = self._ray.get(worker.work.remote(work[0], *work[1]))
-            except self._ray.exceptions.RayTaskError as error:
-                # An answer that cannot be sent.
-                self._idle.put(worker)
-                raise _cause(error) from None
-            except self._ray.exceptions.RayError as error:
-                deaths += 1
-                self._lose(worker, error)
-                if deaths == MOST_DEATHS:
-                    raise OSError(_deadly("died of the same task", error)) from None
-                self._add_worker()
-                continue
-            self._idle.put(worker)
-            if is_done:
-                return answer
-            raise answer
+        data, arrays = work
+        with self._first_lock:
+            if not self._is_placed:
+                self._answer(self._check, self._expected)
+                self._is_placed = True
+        return self._answer(self._work, *self._beginning, data, *self._given_arrays, *arrays)
 
-    def _idle_worker(self) -> Any:
-        """Wait for a worker.
-
-        Raises:
-            OSError: there will be none.
-            Exception: of the initializer.
-        """
-        while True:
-            try:
-                worker = self._idle.get(timeout=START_S)
-            except Empty:
-                self._look_for_places()
-                continue
-            if worker is not None:
-                return worker
-            self._idle.put(None)
-            raise self._failure or OSError("the pool of workers was closed before this was done")
-
-    def _add_worker(self) -> None:
-        """Start a worker, if there is one too few, while others go on."""
-        if len(self._workers) < self._count:
-            threading.Thread(target=self._start_worker, name="ray worker", daemon=True).start()
-
-    def _start_worker(self) -> None:
-        """Start a worker, and again where it dies at its beginning."""
+    def _answer(self, function: Any, *given: Any) -> Any:
+        """Return what a function gives on some worker, another one where the first dies."""
+        exceptions = self._ray.exceptions
         for _ in range(MOST_DEATHS):
             with self._lock:
-                if self._is_ended or len(self._workers) == self._count:
-                    return
-                worker = self._worker_class.remote()
-                self._workers.append(worker)
+                if self._is_ended:
+                    raise OSError(CLOSED)
+                asked = function.remote(*given)
+                self._running.add(asked)
             try:
-                wrong = self._ray.get(worker.check.remote(self._expected))
-                if wrong:
-                    self._fail(OSError(wrong))
-                    return
-                with self._lock:
-                    self._placed.append(worker)
-                self._ray.get(worker.begin.remote(*self._beginning))
-                self._idle.put(worker)
-                return
-            except self._ray.exceptions.RayTaskError as error:
-                self._fail(_cause(error))
-                return
-            except self._ray.exceptions.RayError as error:
-                self._lose(worker, error)
-                died = error
-        self._fail(OSError(_deadly("died before they had begun", died)))
-
-    def _lose(self, worker: Any, error: Exception) -> None:
-        """Go on without a worker."""
-        with self._lock:
-            for known in (self._workers, self._placed):
-                if worker in known:
-                    known.remove(worker)
-        # It may live on where only its answer was lost.
-        self._kill(worker)
-        if not self._is_ended:
-            _log.warning("a worker on Ray died (%s); another takes its place", _last_words(error))
-
-    def _fail(self, failure: Exception) -> None:
-        """Let all that was asked for end with a failure."""
-        if not self._is_ended:
-            self._failure = self._failure or failure
-            self._idle.put(None)
+                while not self._ray.wait([asked], timeout=START_S)[0]:
+                    self._look_for_places()
+                return self._ray.get(asked)
+            except exceptions.RayTaskError as error:
+                raise (error.cause if isinstance(error.cause, Exception) else error) from error
+            except exceptions.RayError as error:
+                if self._is_ended:
+                    raise OSError(CLOSED) from None
+                # Ray writes a page about each death.
+                died = cut(one_line(error), LAST_WORDS)
+                _log.warning("a worker on Ray died (%s); another takes its place", died)
+            finally:
+                self._running.discard(asked)
+        raise OSError(
+            f"{MOST_DEATHS} workers died of the same task on Ray ({died}); expected all to work to "
+            "the end; most likely memory ran out: start Ray with fewer CPUs on each machine (`ray "
+            "start --num-cpus`); the same command goes on from what is solved"
+        )
 
     def _look_for_places(self) -> None:
-        """Give up where no worker has found a machine, and none has a CPU for one."""
+        """Give up where no worker has found a machine, and none has a CPU for one.
+
+        Raises:
+            OSError: so it is.
+        """
         total = self._ray.cluster_resources().get("CPU", 0.0)
         free = self._ray.available_resources().get("CPU", 0.0)
-        if not self._placed and free < 1.0:
-            self._fail(
-                OSError(
-                    f"no worker could be started on Ray in {START_S:.0f} s: the cluster has "
-                    f"{total:.0f} CPUs and {free:.0f} of them free, expected one at least; end "
-                    "what holds them, or add machines with `ray start --address=...`; the same "
-                    "command goes on from what is solved"
-                )
+        if not self._is_placed and free < 1.0:
+            raise OSError(
+                f"no worker could be started on Ray in {START_S:.0f} s: the cluster has "
+                f"{total:.0f} CPUs and {free:.0f} of them free, expected one at least; end what "
+                "holds them, or add machines with `ray start --address=...`; the same command goes "
+                "on from what is solved"
             )
-
-    def _kill(self, worker: Any) -> None:
-        with suppress(Exception):
-            self._ray.kill(worker)
 
 
 class ArrayShelf:
@@ -330,20 +265,3 @@ class _Packer(cloudpickle.Pickler):
 def expected_of(needed: tuple[str, ...]) -> Expected:
     """Return what a worker must find: this package, and some files and folders."""
     return Expected("dotsim_ros", dotsim_ros.__version__, source_hash("."), os.getcwd(), needed)
-
-
-def _cause(error: Any) -> Exception:
-    return error.cause if isinstance(error.cause, Exception) else error
-
-
-def _deadly(what: str, error: BaseException) -> str:
-    return (
-        f"{MOST_DEATHS} workers {what} on Ray ({_last_words(error)}); expected all to work to the "
-        "end; most likely memory ran out: start Ray with fewer CPUs on each machine (`ray start "
-        "--num-cpus`); the same command goes on from what is solved"
-    )
-
-
-def _last_words(error: BaseException) -> str:
-    """Return what Ray knows of a death, in short: it writes a page about each."""
-    return cut(one_line(error), LAST_WORDS)

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a worker on Ray is; it travels to the worker's machine as it stands here.
+"""What a worker on Ray does; it travels to the worker's machine as it stands here.
 
 That machine may have another version of this package, or none. So nothing of the package is
 imported before the two have been compared.
@@ -13,7 +13,6 @@ import io
 import os
 import pickle
 import platform
-import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,35 +38,48 @@ class Expected:
     needed: tuple[str, ...]
 
 
-class RayWorker:
-    """A worker: `check` and `begin` once, then `work`."""
+_pool = ""
+"""The pool that this process has begun to work for."""
 
-    def check(self, expected: Expected) -> str:
-        """Return what is wrong with the worker's machine, "" for nothing."""
-        wrong = _wrong_package(expected) or _wrong_folders(expected)
-        if not wrong:
-            return ""
+
+def check(expected: Expected) -> None:
+    """Refuse to work on a machine that is not as expected.
+
+    Raises:
+        OSError: what is wrong with it.
+    """
+    if wrong := _wrong_package(expected) or _wrong_folders(expected):
         import ray
 
-        return f"the worker on {ray.util.get_node_ip_address()} ({platform.node()}) {wrong}"
+        place = f"{ray.util.get_node_ip_address()} ({platform.node()})"
+        raise OSError(f"the worker on {place} {wrong}")
 
-    def begin(self, data: bytes, *arrays: Any) -> None:
-        """Call the packed initializer with its arguments."""
-        initialize, given = unpack(data, arrays)
+
+def work(
+    expected: Expected, pool: str, beginning: bytes, count: int, task: bytes, *arrays: Any
+) -> Any:
+    """Return the answer to a packed task.
+
+    Args:
+        expected: of the machine.
+        pool: that the task is of.
+        beginning: the packed initializer with its arguments, called once for a pool.
+        count: of its arrays, which are the first of `arrays`.
+        task: packed.
+        arrays: of both.
+    """
+    global _pool
+    if _pool != pool:
+        check(expected)
+        initialize, given = unpack(beginning, arrays[:count])
         initialize(*given)
         from dotsim_ros.io.cores import keep_single_threaded
 
         # Whatever the raylet was started with: last digits must not depend on who found them.
         keep_single_threaded()
-
-    def work(self, data: bytes, *arrays: Any) -> tuple[bool, Any]:
-        """Do packed work; return whether it could be done, and its answer or its exception."""
-        try:
-            function, given, named = unpack(data, arrays)
-            return True, function(*given, **named)
-        except Exception as error:
-            error.add_note(f"in a worker on Ray:\n{traceback.format_exc()}")
-            return False, error
+        _pool = pool
+    function, given, named = unpack(task, arrays[count:])
+    return function(*given, **named)
 
 
 def unpack(data: bytes, arrays: Sequence[Any]) -> Any:
