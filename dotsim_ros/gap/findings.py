@@ -18,6 +18,8 @@ from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.overlay import Estimate
 
 VERSION = 1
+ALL = "all"
+"""The trajectory of a place whose residuals are those of all."""
 
 
 class Verdict(Enum):
@@ -71,7 +73,7 @@ class ResidualPlace:
     """Residuals in one place: RMS in units of their expected deviation.
 
     Attributes:
-        channel, trajectory, phase, region: of the place; "all" sums over one of them.
+        channel, trajectory, phase, region: of the place; the trajectory `ALL` sums over them.
         before, after: RMS with the calibrated twin, and with the named effects.
         low, high: interval of 95 % of `before`, by a bootstrap over trajectories; 0 where there is
             one trajectory alone.

@@ -125,7 +125,7 @@ def _with_bias(source: Source, names: Sequence[str], discrepancy: Discrepancy) -
         columns = case.columns()
     bias = {
         nuisance.name: float(f"{deviations * nuisance.deviation:.3g}")
-        for (nuisance, _), deviations in zip(columns, moved, strict=True)
+        for (nuisance, *_), deviations in zip(columns, moved, strict=True)
         if nuisance.name in BIASED
     }
     return replace(discrepancy, bias=bias)

@@ -34,16 +34,14 @@ from optical_films import (
 
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.gap.findings import (
-    Verdict,
-)
+from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.images.case import OpticalCase, Shot
 from dotsim_ros.gap.images.fit import ImageSearch
 from dotsim_ros.gap.images.null import fit_optical_null, load_optical_null, save_optical_null
 from dotsim_ros.gap.images.reading import check_same_unit, pattern_likeness
 from dotsim_ros.gap.images.search import OpticalSearch, alike, camera_nuisances, signatures_of
 from dotsim_ros.gap.images.tile_noise import estimate_noise
-from dotsim_ros.gap.report.wording import Facts, optical_sentence
+from dotsim_ros.gap.report.wording import asked
 
 LIBRARY = load_effects()
 EFFECTS = [LIBRARY[name] for name in CHOSEN]
@@ -140,11 +138,9 @@ def test_a_size_that_is_beyond_the_plausible_is_unknown_and_one_at_the_end_is_no
     assert answer.beyond is not None
     assert (answer.beyond.effect.name, answer.beyond.parameter.name) == ("vignetting", "edge_loss")
     assert answer.beyond.value == pytest.approx(0.4, rel=0.1)
-    beyond = (answer.beyond.parameter, answer.beyond.value)
-    facts = Facts(nearest=[answer.beyond.effect], beyond=beyond)
-    told = optical_sentence(Verdict.UNKNOWN, facts)
-    assert "vignetting, but the images ask for edge_loss = 0.4" in told
-    assert "its plausible range is 0 to 0.3" in told
+    told = asked("images", answer.beyond.parameter, answer.beyond.value)
+    assert told.startswith("the images ask for edge_loss = 0.4")
+    assert told.endswith("its plausible range is 0 to 0.3")
     # As large as is plausible is no sign of anything else.
     answer = searched.answer(residuals_with(darker_edges(0.3), 4))
     assert answer.verdict is Verdict.NAMED

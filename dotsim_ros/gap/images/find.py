@@ -290,19 +290,18 @@ def _optical_findings(
     told = [(one.effect, answer.estimates[one.effect.name]) for one in answer.named]
     uncertain = wording.certainty_warnings(" of the images' effect", answer.stability, told)
     gap = _colour_gap(judged, before, after, search, null)
-    beyond = answer.beyond
+    if answer.verdict is Verdict.NO_GAP:
+        sentence = wording.NO_GAP_IN_IMAGES
+    elif answer.verdict is Verdict.UNKNOWN:
+        beyond = answer.beyond
+        asked = [wording.asked("images", beyond.parameter, beyond.value)] if beyond else []
+        sentence = wording.unknown_in_images(_nearest(answer, library), asked)
+    else:
+        alternatives = [library[name] for name in answer.alternatives]
+        sentence = wording.missing_in_images(told, alternatives, gap)
     return OpticalFindings(
         verdict=answer.verdict,
-        sentence=wording.optical_sentence(
-            answer.verdict,
-            wording.Facts(
-                named=told,
-                alternatives=[library[name] for name in answer.alternatives],
-                gaps=[gap],
-                nearest=_nearest(answer, library),
-                beyond=None if beyond is None else (beyond.parameter, beyond.value),
-            ),
-        ),
+        sentence=sentence,
         named=tuple(one.effect.name for one in answer.named),
         alternatives=answer.alternatives,
         statistic=answer.statistic,
@@ -325,12 +324,12 @@ def _optical_findings(
     )
 
 
-def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> list[Effect]:
+def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> Effect | None:
     """Return the effect that comes nearest, where any explains something."""
     if answer.beyond is not None:
-        return [answer.beyond.effect]
+        return answer.beyond.effect
     best = answer.scores[0]
-    return [library[best.name]] if best.fit > 0.0 else []
+    return library[best.name] if best.fit > 0.0 else None
 
 
 def _closed(

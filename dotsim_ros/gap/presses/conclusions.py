@@ -22,7 +22,7 @@ from dotsim_ros.gap.presses.answer import (
     size_beyond_range,
     sizes_by_channel,
 )
-from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS, values_after
+from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS
 from dotsim_ros.gap.presses.certainty import close_pairs
 from dotsim_ros.gap.presses.evidence import Case
 from dotsim_ros.gap.presses.inference import Fit, fit_nuisances
@@ -35,10 +35,9 @@ from dotsim_ros.gap.presses.locate import (
     share_closed,
     worst_frame,
 )
-from dotsim_ros.gap.presses.made_up import made_up
+from dotsim_ros.gap.presses.made_up import no_gap_sentence
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
 from dotsim_ros.gap.report import wording
-from dotsim_ros.gel.values import GelValues
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.twin.follow import SolveError
 
@@ -70,9 +69,8 @@ def findings_of(
             decided = Decision(Verdict.UNKNOWN)
             residuals, refitted = _with_effects(search, [])
     named, verdict = decided.named, decided.verdict
-    doubt, stability = decided.doubt, decided.stability
     told = [(entry.effect, entry.estimates) for entry in named]
-    search.warnings += wording.certainty_warnings("", stability if named else None, told)
+    search.warnings += wording.certainty_warnings("", decided.stability if named else None, told)
     worst = worst_frame(
         case,
         residuals,
@@ -80,35 +78,30 @@ def findings_of(
         lambda number: _skins(search, number, named),
         measurement.skin.rest_position_m,
     )
-    shared = case.shared_nuisances()
     fallback: tuple[ChannelGap, ...] = ()
-    is_unknown = verdict is Verdict.UNKNOWN
-    alone = len(nearest) == 1
-    if is_unknown:
+    if verdict is Verdict.UNKNOWN:
         fallback = channel_gaps(_fallback(search), judged)
-    fitted = values_after(case.values, shared, refitted.nuisance[: len(shared)])
     gaps = channel_gaps(residuals, judged)
     places = places_of_gap(case, residuals, measured, search.random)
-    beyond = size_beyond_range(search, nearest[0]) if is_unknown and alone else None
-    facts = wording.Facts(
-        named=told,
-        alternatives=[e.effect for e in decided.alternatives],
-        gaps=gaps,
-        nearest=[e.effect for e in nearest],
-        sizes=sizes_by_channel(search, nearest[0]) if is_unknown and alone else None,
-        beyond=None if beyond is None else (nearest[0].effect.parameters[0], beyond),
-        left_open=left_open,
-        doubted=""
-        if doubt is None
-        else wording.amid_all([e.effect for e in doubt.effects], are_two=doubt.are_two),
-        stability=stability,
-        place=wording.largest_place(places),
-        is_held_out=bool(search.held_out),
-        made_up=made_up(search, gaps) if verdict is Verdict.NO_GAP else None,
-    )
+    place = wording.largest_place(places)
+    if verdict is Verdict.NO_GAP:
+        sentence = no_gap_sentence(search, gaps)
+    elif decided.doubt is not None:
+        sentence = wording.not_decided(
+            [e.effect for e in decided.doubt.effects],
+            are_two=decided.doubt.are_two,
+            stability=decided.stability or 0.0,
+            place=place,
+        )
+    elif verdict is Verdict.UNKNOWN:
+        reasons = _reasons(search, nearest, left_open)
+        sentence = wording.unknown(place, [e.effect for e in nearest], reasons)
+    else:
+        alternatives = [e.effect for e in decided.alternatives]
+        sentence = wording.missing(told, alternatives, gaps, is_held_out=bool(search.held_out))
     findings = Findings(
         verdict=verdict,
-        sentence=wording.sentence(verdict, facts),
+        sentence=sentence,
         named=tuple(e.effect.name for e in named),
         alternatives=tuple(e.effect.name for e in decided.alternatives),
         statistic=answer.statistic,
@@ -117,14 +110,14 @@ def findings_of(
         p_value=answer.p_value,
         mode="absolute" if reference is None else "differential",
         candidates=_candidates(search, ranked, silent),
-        calibrated=_calibrated(case, fitted, refitted),
+        calibrated=_calibrated(case, refitted),
         places=places,
         gaps=gaps,
         share_closed=None if closed is None else closed.share,
         share_closed_low=None if closed is None else closed.low,
         share_closed_high=None if closed is None else closed.high,
         fallback=fallback,
-        stability=stability,
+        stability=decided.stability,
         pairs=close_pairs(search, ranked),
         worst=worst,
         warnings=tuple(search.warnings),
@@ -141,6 +134,21 @@ def findings_of(
         tuple(FoundEffect(e.effect.name, e.estimates) for e in named),
     )
     return findings, overlay
+
+
+def _reasons(search: Search, nearest: Sequence[Ranked], left_open: float | None) -> list[str]:
+    """Return why what comes nearest to a gap does not explain it: one effect, or two that act
+    together, which leave a share of the held-out trajectories' gap open."""
+    beyond, sizes = None, None
+    if len(nearest) == 1:
+        beyond = size_beyond_range(search, nearest[0])
+        sizes = sizes_by_channel(search, nearest[0])
+    parameter = nearest[0].effect.parameters[0]
+    return [
+        *([] if beyond is None else [wording.asked("data", parameter, beyond)]),
+        *([] if left_open is None else [wording.left_open(len(nearest), left_open)]),
+        *([] if sizes is None else [wording.disagreeing(parameter, *sizes)]),
+    ]
 
 
 def leaves_open(closed: Closed) -> bool:
@@ -195,18 +203,17 @@ def _fallback(search: Search) -> Residuals:
     )
 
 
-def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate, ...]:
+def _calibrated(case: Case, refitted: Fit) -> tuple[Estimate, ...]:
     """Return the nuisances as fitted; the range is that of their priors."""
     result = []
-    for (nuisance, _), name, moved in zip(
-        case.columns(), case.column_names(), refitted.nuisance.tolist(), strict=True
-    ):
+    for (nuisance, name, _), moved in zip(case.columns(), refitted.nuisance.tolist(), strict=True):
         reach = 1.96 * nuisance.deviation
         if nuisance.name in GEL_CONSTANTS:
             parameter = PARAMETERS[nuisance.name]
             at = parameter.to_coordinate(getattr(case.values, parameter.field)) + nuisance.mean
             ends = sorted(parameter.to_value(at + side * reach) for side in (-1.0, 1.0))
-            value = float(getattr(fitted, parameter.field))
+            value = parameter.to_value(at + moved * nuisance.deviation)
+            value = float(np.clip(value, *parameter.bounds))
             result.append(Estimate(name, parameter.unit, value, ends[0], ends[1]))
         else:
             value = nuisance.mean + moved * nuisance.deviation

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -120,6 +121,15 @@ class Segment:
         return replace(self, offset=self.offset[rows], column=self.column[rows])
 
 
+class Column(NamedTuple):
+    """A nuisance of the evidence, its name there, and the data that it belongs to: those of the
+    reference, those of the others, None for both."""
+
+    nuisance: PressNuisance
+    name: str
+    of_reference: bool | None
+
+
 @dataclass
 class Case:
     """A measured data set, with a reference or without, ready to be searched.
@@ -144,7 +154,7 @@ class Case:
         """Return the evidence of some trajectories."""
         parts = [self.trajectories[t] for t in chosen]
         columns = [self._nuisance_columns(t) for t in parts]
-        centre = np.array([nuisance.centre for nuisance, _ in self.columns()])
+        centre = np.array([column.nuisance.centre for column in self.columns()])
         residual = [
             t.whitening.whiten(t.observed - t.predicted) - column @ centre
             for t, column in zip(parts, columns, strict=True)
@@ -152,31 +162,22 @@ class Case:
         number = np.repeat(np.arange(len(parts)), [len(r) for r in residual])
         return Evidence(np.concatenate(residual), np.concatenate(columns), number)
 
-    def columns(self) -> list[tuple[PressNuisance, bool | None]]:
-        """Return the evidence's nuisances, in order, with the data that each belongs to: those of
-        the reference, those of the others, None for both."""
+    def columns(self) -> list[Column]:
+        """Return the evidence's nuisances, in order."""
         own = [n for n in self.nuisances if n.belongs == OWN]
         return [
-            *((n, None) for n in self.nuisances if n.belongs != OWN),
-            *((n, True) for n in own),
-            *((n, False) for n in own),
+            *(Column(n, n.name, None) for n in self.nuisances if n.belongs != OWN),
+            *(Column(n, f"{n.name} (reference)", True) for n in own),
+            *(Column(n, n.name, False) for n in own),
         ]
-
-    def column_names(self) -> list[str]:
-        """Return the names of the evidence's nuisances."""
-        return [n.name + (" (reference)" if whose else "") for n, whose in self.columns()]
-
-    def shared_nuisances(self) -> list[PressNuisance]:
-        """Return those that come first in the evidence: of the unit, not of a data set."""
-        return [n for n, whose in self.columns() if whose is None]
 
     def _column_numbers(self, t: EvidenceTrajectory) -> list[int | None]:
         """Return which of a trajectory's nuisances each column of the evidence is, None for those
         of other data."""
         place = {n.name: k for k, n in enumerate(self.nuisances)}
         return [
-            place[n.name] if whose in (None, t.is_reference) else None
-            for n, whose in self.columns()
+            place[column.nuisance.name] if column.of_reference in (None, t.is_reference) else None
+            for column in self.columns()
         ]
 
     def _nuisance_columns(self, t: EvidenceTrajectory) -> FloatArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, WorstFrame
+from dotsim_ros.gap.findings import ALL, ChannelGap, ResidualPlace, WorstFrame
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, amplitude, white_variance
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory
 from dotsim_ros.gap.presses.observables import CHANNELS, regions_of_observables
@@ -194,7 +194,7 @@ def places_of_gap(
         for trajectory_name, square in by_trajectory.items():
             places.append(_place(key, trajectory_name, square))
         every = np.stack(list(by_trajectory.values()))
-        places.append(_place(key, "all", every.sum(axis=0), *_interval(every, random)))
+        places.append(_place(key, ALL, every.sum(axis=0), *_interval(every, random)))
     return tuple(places)
 
 
