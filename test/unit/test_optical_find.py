@@ -39,7 +39,7 @@ from dotsim_ros.gap.images.case import OpticalCase, Shot
 from dotsim_ros.gap.images.fit import ImageSearch
 from dotsim_ros.gap.images.null import fit_optical_null, load_optical_null, save_optical_null
 from dotsim_ros.gap.images.reading import check_same_unit, pattern_likeness
-from dotsim_ros.gap.images.search import OpticalSearch, alike, camera_nuisances, signatures_of
+from dotsim_ros.gap.images.search import OpticalSearch, camera_nuisances, signatures_of
 from dotsim_ros.gap.images.tile_noise import estimate_noise
 from dotsim_ros.gap.report.wording import asked
 
@@ -418,17 +418,17 @@ def test_a_vignetting_of_ten_percent_is_found_and_not_called_gamma(search):
         assert scores[0].statistic > threshold
         assert scores[0].explained > 0.8
         assert scores[0].values["edge_loss"] == pytest.approx(0.1, rel=0.25)
-        assert "gamma" not in alike(scores, search.likeness())
+        assert "gamma" not in search.alike(scores)
 
 
 def test_ambient_light_and_gamma_are_flagged_as_a_pair(search):
-    pairs = {frozenset((one.first, one.second)): one.cosine for one in search.likeness()}
+    pairs = search.likeness()
     together = pairs[frozenset(("ambient_light", "gamma"))]
     assert together > 0.85
     assert together == max(pairs.values())
     assert pairs[frozenset(("gamma", "vignetting"))] < 0.8
     scores = search.score(residuals_with(lambda p: p + 4.0 * LIT[..., None], 5))
-    assert set(alike(scores, search.likeness())[:2]) == {"ambient_light", "gamma"}
+    assert set(search.alike(scores)[:2]) == {"ambient_light", "gamma"}
 
 
 def test_the_gain_of_the_camera_is_no_effect(search):

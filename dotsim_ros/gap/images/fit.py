@@ -33,7 +33,6 @@ from dotsim_ros.gap.images.search import (
     EffectScore,
     OpticalSearch,
     Signature,
-    alike,
     camera_nuisances,
     freed,
     probes_of,
@@ -259,11 +258,7 @@ class ImageSearch:
         self, residuals: Sequence[FloatArray], named: Sequence[Fitted]
     ) -> list[FloatArray]:
         """Return what named effects leave of residuals."""
-        active = [one.active for one in named]
-        return [
-            residual - self.case.changed_by(shot, active)
-            for residual, shot in zip(residuals, self.shots, strict=True)
-        ]
+        return without_effects(self.case, self.shots, residuals, named)
 
     def _named(
         self, measured: Sequence[FloatArray], first: EffectScore
@@ -324,7 +319,7 @@ class ImageSearch:
         be beyond their range."""
         order = sorted(scores, key=lambda score: score.name != best.effect.name)
         past = {score.name: score for score in scores if score.statistic > self.threshold}
-        near = [name for name in alike(order, self.search.likeness())[1:] if name in past]
+        near = [name for name in self.search.alike(order)[1:] if name in past]
         return tuple(
             name
             for name in near
@@ -392,11 +387,17 @@ def mean_squares(
 
 
 def without_effects(
-    case: OpticalCase, shots: Sequence[Shot], named: Sequence[Fitted]
+    case: OpticalCase,
+    shots: Sequence[Shot],
+    residuals: Sequence[FloatArray],
+    named: Sequence[Fitted],
 ) -> list[FloatArray]:
     """Return what named effects leave of the residuals of shots."""
     active = [one.active for one in named]
-    return [shot.residual - case.changed_by(shot, active) for shot in shots]
+    return [
+        residual - case.changed_by(shot, active)
+        for residual, shot in zip(residuals, shots, strict=True)
+    ]
 
 
 def _probed_at(effect: Effect, values: Mapping[str, float]) -> Effect:

@@ -82,18 +82,10 @@ class OpticalNull:
             meter: of them.
             camera: (T, 6) deviation by the camera's noise; NaN where it is not known.
         """
-        centre = meter.grid.centre_px
-        nearest = KDTree(self.noise.centre_px).query(centre)[1]
-        own = self.noise.camera[nearest]
-        return TileNoise(
-            centre,
-            np.where(np.isfinite(camera), camera, own),
-            self.noise.model[nearest],
-            self.noise.growth,
-            self.noise.mixing,
-            self.noise.correlations,
-            self.noise.trajectory_count,
-        )
+        own, centre = self.noise, meter.grid.centre_px
+        nearest = KDTree(own.centre_px).query(centre)[1]
+        known = np.where(np.isfinite(camera), camera, own.camera[nearest])
+        return replace(own, centre_px=centre, camera=known, model=own.model[nearest])
 
     def knows(self, effect: Effect) -> bool:
         """Return whether the scatter of an effect's sizes is known, by its parameters' names."""
