@@ -357,12 +357,11 @@ def test_what_too_few_repetitions_ask_for_is_told_as_undecided(
     assert answer.decision.stability is not None
     assert answer.decision.stability < decision.LIKELY
     assert (answer.decision.verdict, answer.decision.named) == (Verdict.UNKNOWN, ())
-    doubt = answer.decision.doubt
-    assert doubt is not None
-    assert [entry.effect.name for entry in doubt.effects] == ["late"]
+    doubted = answer.decision.doubted
+    assert [entry.effect.name for entry in doubted] == ["late"]
     text = wording.not_decided(
-        [entry.effect for entry in doubt.effects],
-        are_two=doubt.are_two,
+        [entry.effect for entry in doubted],
+        are_two=answer.decision.are_two,
         stability=answer.decision.stability,
         place="the rim",
     )

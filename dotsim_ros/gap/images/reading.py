@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from dotsim_ros.data.data_set import DataSet, find_indenter, read_data_set
 from dotsim_ros.data.reading import read_press_images, starts_in_session
 from dotsim_ros.data.recording import Recording, Span, recording_of
-from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.specification import SensorSpecification
 
@@ -55,14 +54,12 @@ class MeasuredImages:
     """What a camera took of a data set.
 
     Attributes:
-        directory: of the data set.
         idle_images: (N, H, W, 3) uint8 without contact.
         trajectories: with images of the same size, in the order of the index.
         warnings: what was left out, and why.
         digest: of all that was read.
     """
 
-    directory: Path
     idle_images: ImageArray
     trajectories: tuple[ImageTrajectory, ...]
     warnings: tuple[str, ...]
@@ -74,23 +71,11 @@ class MeasuredImages:
         return np.rint(self.idle_images.mean(axis=0)).astype(np.uint8)
 
 
-def holds_images(directory: str | Path | DataSet) -> tuple[bool, bool]:
-    """Return whether a data set says that its bags hold images, and whether it has idle images.
-
-    Raises:
-        FileNotFoundError, ValueError: as `read_data_set`.
-    """
-    data_set = read_data_set(directory)
-    return any(entry.has_images for entry in data_set.entries), bool(data_set.idle_images())
-
-
 def read_images(
     directory: str | Path | DataSet,
     *,
     sensor: SensorSpecification,
     indenters: str | Path | None = None,
-    names: Sequence[str] | None = None,
-    topics: Topics = MEASURED_TOPICS,
 ) -> MeasuredImages:
     """Read the images of a data set.
 
@@ -98,8 +83,6 @@ def read_images(
         directory: the folder that holds dataset.yaml.
         sensor: the twin.
         indenters: folder of the indenters' meshes; None as `find_indenter`.
-        names: of the trajectories to read; None for all with images.
-        topics: where the channels lie.
 
     Raises:
         FileNotFoundError: no data set there.
@@ -115,7 +98,7 @@ def read_images(
     paths = data_set.idle_images()
     idle_images = read_idle_images(paths)
     mean_idle_image(idle_images, paths)
-    entries = [e for e in data_set.entries if e.has_images and (names is None or e.name in names)]
+    entries = [entry for entry in data_set.entries if entry.has_images]
     most = _most_frames([entry.frame_count for entry in entries])
     warnings: list[str] = []
     found: dict[str, ImageTrajectory] = {}
@@ -123,7 +106,7 @@ def read_images(
     digest = hashlib.sha256(idle_images.tobytes())
     for entry in entries:
         try:
-            one = read_press_images(entry, idle=idle_images[0], topics=topics, most=most)
+            one = read_press_images(entry, idle=idle_images[0], most=most)
             indenter = find_indenter(data_set, entry.indenter, indenters)
             spans_s[entry.name] = one.span_s
             recording = recording_of(seen_from(one.press, base_m), indenter, skin, one.delay_s)
@@ -138,15 +121,13 @@ def read_images(
             + "".join(f"; {text}" for text in warnings)
         )
     spans = [spans_s.get(entry.name) for entry in data_set.entries]
-    starts_s = starts_in_session(data_set, spans, topics)
+    starts_s = starts_in_session(data_set, spans)
     trajectories = tuple(
         _later(found[entry.name], start_s)
         for entry, start_s in zip(data_set.entries, starts_s, strict=True)
         if entry.name in found
     )
-    return MeasuredImages(
-        data_set.directory, idle_images, trajectories, tuple(warnings), digest.hexdigest()[:16]
-    )
+    return MeasuredImages(idle_images, trajectories, tuple(warnings), digest.hexdigest()[:16])
 
 
 def check_same_unit(idle: ImageArray, measured: ImageArray, *, owner: str) -> None:

@@ -34,19 +34,6 @@ SMALL_SHARE = 0.08
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """What would be named if more bootstrap repetitions over trajectories asked for it.
-
-    Attributes:
-        effects: one, those of a set, or two that would act together.
-        are_two: whether they would act together.
-    """
-
-    effects: tuple[Ranked, ...]
-    are_two: bool = False
-
-
-@dataclass(frozen=True)
 class Decision:
     """What the rule decides.
 
@@ -54,14 +41,17 @@ class Decision:
         verdict: the answer.
         named: effects to add.
         alternatives: those not distinguished from the first.
-        doubt: what is not named for want of repetitions that ask for it.
+        doubted: what would be named if more bootstrap repetitions over trajectories asked for it:
+            one effect, those of a set, or two that would act together.
+        are_two: whether the latter.
         stability: share of the repetitions that give what is named, or would be; None without.
     """
 
     verdict: Verdict
     named: tuple[Ranked, ...] = ()
     alternatives: tuple[Ranked, ...] = ()
-    doubt: Doubt | None = None
+    doubted: tuple[Ranked, ...] = ()
+    are_two: bool = False
     stability: float | None = None
 
 
@@ -114,7 +104,7 @@ def answer_of(
     decided = Decision(Verdict.NO_GAP)
     if is_effect or pattern_gain(search) > pattern_threshold:
         decided = _decide(search, ranked)
-    nearest = decided.named or (decided.doubt.effects if decided.doubt else ranked)
+    nearest = decided.named or decided.doubted or ranked
     first = max(nearest, key=lambda entry: entry.trial.gain / entry.limit)
     scale = first.limit / threshold
     p_value = float(np.mean(scale * gains >= first.trial.gain))
@@ -256,7 +246,7 @@ def _decide(search: Search, ranked: list[Ranked]) -> Decision:
                 return _two(search, pair, stability)
             # Two that too few repetitions ask for are one, and what its law is off by.
             doubted = Decision(
-                Verdict.UNKNOWN, doubt=Doubt(tuple(pair), are_two=True), stability=stability
+                Verdict.UNKNOWN, doubted=tuple(pair), are_two=True, stability=stability
             )
     close = [entry for entry in able if entry.trial.gain > best.trial.gain - decision.SAME]
     # One that asks for a size beyond its range is a symptom; what explains as much may stand.
@@ -267,7 +257,7 @@ def _decide(search: Search, ranked: list[Ranked]) -> Decision:
     contest = [entry for entry in ranked if entry not in close or entry in possible]
     stability = stability_of(search, contest, [named], alternatives)
     if stability < decision.LIKELY:
-        return Decision(Verdict.UNKNOWN, doubt=Doubt(tuple(possible)), stability=stability)
+        return Decision(Verdict.UNKNOWN, doubted=tuple(possible), stability=stability)
     verdict = Verdict.SET if alternatives else Verdict.NAMED
     return Decision(verdict, (named,), tuple(alternatives), stability=stability)
 

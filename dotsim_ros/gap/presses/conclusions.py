@@ -76,7 +76,6 @@ def findings_of(
         residuals,
         measured,
         lambda number: _skins(search, number, named),
-        measurement.skin.rest_position_m,
     )
     fallback: tuple[ChannelGap, ...] = ()
     if verdict is Verdict.UNKNOWN:
@@ -86,10 +85,10 @@ def findings_of(
     place = wording.largest_place(places)
     if verdict is Verdict.NO_GAP:
         sentence = no_gap_sentence(search, gaps)
-    elif decided.doubt is not None:
+    elif decided.doubted:
         sentence = wording.not_decided(
-            [e.effect for e in decided.doubt.effects],
-            are_two=decided.doubt.are_two,
+            [e.effect for e in decided.doubted],
+            are_two=decided.are_two,
             stability=decided.stability or 0.0,
             place=place,
         )

@@ -370,7 +370,7 @@ def observed_of(
     return observe(places, rest_m, skin, force, press.frame_count)
 
 
-def make_trajectories(
+def make_case(
     recordings: Sequence[Recording],
     reference: Sequence[Recording],
     *,
@@ -383,7 +383,7 @@ def make_trajectories(
     discrepancy: Discrepancy,
     channels: Sequence[str],
     progress: Progress | None = None,
-) -> tuple[list[EvidenceTrajectory], list[str]]:
+) -> tuple[Case, list[str]]:
     """Simulate the twin and its nuisances along recordings.
 
     Args:
@@ -399,18 +399,18 @@ def make_trajectories(
         progress: called with the number of solves done, and of all.
 
     Returns:
-        The trajectories, those of the reference first, and what had to be left out.
+        The case, its trajectories of the reference first, and what had to be left out.
     """
     every = [(r, True) for r in reference] + [(r, False) for r in recordings]
     requests = [nuisance_requests(r, values, library) for r, _ in every]
     results, _ = solver.run_each([q for group in requests for q in group], progress)
+    answers = iter(results)
+    rest = skin.rest_position_m
     trajectories, left_out = [], []
-    place = 0
     for (recording, is_reference), group in zip(every, requests, strict=True):
-        answers = results[place : place + len(group)]
-        place += len(group)
-        solved = [answer for answer in answers if answer is not None]
-        if len(solved) < len(answers):
+        asked = [next(answers) for _ in group]
+        solved = [answer for answer in asked if answer is not None]
+        if len(solved) < len(asked):
             left_out.append(
                 f"{recording.name} was left out: the gel could not be solved at its poses, which "
                 "may press deeper than the gel allows"
@@ -419,7 +419,6 @@ def make_trajectories(
         recording = _with_channels(recording, channels)
         press = recording.press
         places = places_of(recording, skin)
-        rest = skin.rest_position_m
         observed = usable(
             recording,
             observe(places, rest, press.skin_position_m, press.force_n, press.frame_count),
@@ -446,9 +445,9 @@ def make_trajectories(
                 patterns(recording, simulated[0], places.axes),
             )
         )
-    if not any(not t.is_reference for t in trajectories):
+    if all(t.is_reference for t in trajectories):
         raise SolveError("no trajectory could be solved:\n" + "\n".join(left_out))
-    return trajectories, left_out
+    return Case(trajectories, nuisances, library, solver, values, rest), left_out
 
 
 def _with_channels(recording: Recording, channels: Sequence[str]) -> Recording:

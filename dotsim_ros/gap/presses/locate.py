@@ -225,7 +225,6 @@ def worst_frame(
     residuals: Residuals,
     chosen: Sequence[int],
     skins_of: Callable[[int], tuple[FloatArray, FloatArray] | None],
-    rest_m: FloatArray,
 ) -> WorstFrame | None:
     """Return the frame with the largest residual before.
 
@@ -234,7 +233,6 @@ def worst_frame(
         residuals: of it.
         chosen: trajectories to look at.
         skins_of: returns a trajectory's skins, simulated without and with the effects, (F, V, 3).
-        rest_m: (V, 3).
     """
     worst, place = -1.0, (-1, -1)
     for t in chosen:
@@ -261,7 +259,7 @@ def worst_frame(
         trajectory.recording.name,
         frame,
         float(press.stamp_s[frame]),
-        _rounded(rest_m) if skins is not None else [],
+        _rounded(case.rest_m) if skins is not None else [],
         _rounded(press.skin_position_m[frame]) if press.skin_position_m is not None else [],
         _rounded(skins[0][frame]) if skins is not None else [],
         _rounded(skins[1][frame]) if skins is not None else [],

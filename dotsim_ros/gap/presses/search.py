@@ -27,7 +27,7 @@ from dotsim_ros.gap.presses.assumptions import (
 from dotsim_ros.gap.presses.certainty import estimates_of
 from dotsim_ros.gap.presses.conclusions import findings_of
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy, noise_from_idle
-from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
+from dotsim_ros.gap.presses.evidence import Case, Variant, make_case
 from dotsim_ros.gap.presses.screening import excited_variants, planned_requests
 from dotsim_ros.gap.presses.search_state import GapRequest, Progress, Search, SolveProgress
 from dotsim_ros.gap.presses.weighed import (
@@ -80,7 +80,7 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
     ) as solver:
         solving = _plan(request, measurement, reference, solver, progress)
         nuisances = centred(ABSOLUTE if reference is None else DIFFERENTIAL, discrepancy.bias)
-        trajectories, left_out = make_trajectories(
+        case, left_out = make_case(
             measurement.recordings,
             () if reference is None else reference.recordings,
             values=values,
@@ -95,9 +95,6 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         )
         solving.begin_last()
         warnings += left_out
-        case = Case(
-            trajectories, nuisances, library, solver, values, measurement.skin.rest_position_m
-        )
         chosen, held_out = _hold_out(case, random)
         if not held_out:
             warnings.append(
