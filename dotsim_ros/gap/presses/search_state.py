@@ -34,39 +34,6 @@ PATTERN_DEVIATION = 20.0
 """Prior of a pattern, in its percents of the press."""
 
 
-FIRST_COSTS = 1.65
-"""What a press of the first step takes of the time of a later one: in it the workers meet every
-indenter, and wait for the last gel. Measured over both steps of eight trajectories on two cores."""
-
-
-@dataclass
-class SolveProgress:
-    """Tells how much of all solving is done, over the steps that are known beforehand.
-
-    Attributes:
-        progress: is told, in presses' work (`dotsim_ros.twin.solver.Progress`) of later steps.
-        later: work of the steps after the present one.
-        before: of those that are finished.
-        present: of the present one.
-    """
-
-    progress: Progress
-    later: int
-    before: int = 0
-    present: int = 0
-
-    def __call__(self, done: int, total: int) -> None:
-        """Tell how much of the present step is done."""
-        if self.later:
-            done, total = round(FIRST_COSTS * done), round(FIRST_COSTS * total)
-        self.present = total
-        self.progress("solve", self.before + done, self.before + total + self.later)
-
-    def begin_last(self) -> None:
-        """Begin the last step."""
-        self.before, self.present, self.later = self.before + self.present, 0, 0
-
-
 @dataclass(frozen=True)
 class GapRequest:
     """What to search, and how; one that no search could be run with is refused.
