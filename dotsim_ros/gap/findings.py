@@ -3,7 +3,7 @@
 
 """What a search for a gap found: the currency between the search and its report, all plain numbers.
 
-`as_record` and `findings_of` carry it to JSON and back.
+`as_record` and `findings_of` turn it into what JSON holds, and back.
 """
 
 from __future__ import annotations
@@ -240,7 +240,7 @@ class Findings:
         share_closed, share_closed_low, share_closed_high: of the gap, with its interval; None if
             nothing was added.
         fallback: of an unknown effect, the gaps of the held-out trajectories with a smooth
-            correction that is no physics in place of effects; empty otherwise.
+            correction that is not physics in place of effects; empty otherwise.
         stability: share of bootstrap repetitions that gave the same name, or one of the set; of
             what too few of them gave to be named, too; None where nothing came so near.
         pairs: effects that cannot be distinguished.

@@ -154,7 +154,7 @@ def _null_of(
     request: GapRequest, effects: Sequence[Effect], progress: Progress
 ) -> tuple[OpticalNull, list[str], int]:
     """Return what images show where nothing is missing, what limits that, and how many solves it
-    took. Nothing is missing in a reference: it tells the sizes of effects that the file does not
+    took. Nothing is missing in a reference: it gives the sizes of effects that the file does not
     know, such as the user's own."""
     null = load_optical_null(request.optical_noise)
     unknown = [effect for effect in effects if not null.knows(effect)]
@@ -168,8 +168,8 @@ def _null_of(
             _check_enough(case)
             name = read_data_set(request.reference).directory.name
             source = f"{len(case.shots) - 1} trajectories of {name}"
-            told = wording.learnt_from_reference(unknown, source)
-            return null.with_effects(unknown, case), [told], case.solve_count
+            limit = wording.learnt_from_reference(unknown, source)
+            return null.with_effects(unknown, case), [limit], case.solve_count
         except (FileNotFoundError, ValueError) as error:
             reason = str(error)
     return null, [wording.not_tried_warning(unknown, LEAST_TRAJECTORIES + 1, reason)], 0
@@ -198,8 +198,9 @@ def find_optical(
     untried = wording.not_tried_sentence(not_tried)
     if not known:
         sentence = f"Images: not searched. {untried}"
-        told = tuple(warnings)
-        nothing = OpticalFindings(Verdict.UNUSABLE, sentence, not_tried=names, warnings=told)
+        nothing = OpticalFindings(
+            Verdict.UNUSABLE, sentence, not_tried=names, warnings=tuple(warnings)
+        )
         return nothing, (), images.digest, solves
     case = case_of(request, images, model, progress, overlay)
     warnings += case.left_out
@@ -267,8 +268,8 @@ def _optical_findings(
         squares = [mean_squares(judged, one, search.noise, case) for one in (before, after)]
         sizes = np.array([one.size for one in before])
         closed = _closed(squares, sizes, null.usual_excess, random)
-    told = [(one.effect, answer.estimates[one.effect.name]) for one in answer.named]
-    uncertain = wording.certainty_warnings(" of the images' effect", answer.stability, told)
+    estimated = [(one.effect, answer.estimates[one.effect.name]) for one in answer.named]
+    uncertain = wording.certainty_warnings(" of the images' effect", answer.stability, estimated)
     gap = _colour_gap(search, judged, before, after)
     if answer.verdict is Verdict.NO_GAP:
         sentence = wording.NO_GAP_IN_IMAGES
@@ -278,7 +279,7 @@ def _optical_findings(
         sentence = wording.unknown_in_images(_nearest(answer, library), asked)
     else:
         alternatives = [library[name] for name in answer.alternatives]
-        sentence = wording.missing_in_images(told, alternatives, gap)
+        sentence = wording.missing_in_images(estimated, alternatives, gap)
     return OpticalFindings(
         verdict=answer.verdict,
         sentence=sentence,

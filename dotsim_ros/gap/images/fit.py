@@ -146,7 +146,10 @@ class ImageSearch:
         self.threshold = self.search.threshold(alpha, seed=seed)
 
     def _searching(self, signatures: Mapping[str, Sequence[Signature]]) -> OpticalSearch:
-        spurious = self.null.spurious_of(signatures)
+        spurious = {
+            name: [self.null.variances(name, one) for one in several]
+            for name, several in signatures.items()
+        }
         return OpticalSearch(signatures, self.noise, self.nuisances, self._changes, spurious)
 
     def answer(self, residuals: Sequence[FloatArray] | None = None) -> OpticalAnswer:

@@ -22,7 +22,6 @@ from scipy.stats import t as student
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.gap.images.case import IDLE, OpticalCase, Shot
 from dotsim_ros.gap.images.search import (
-    Direction,
     OpticalSearch,
     Signature,
     camera_nuisances,
@@ -117,30 +116,12 @@ class OpticalNull:
     def variances(self, name: str, signature: Signature) -> FloatArray:
         """Return (P,) the variance of a signature's sizes, in squared steps.
 
-        That of the probe whose shape is nearest.
-
-        Raises:
-            ValueError: the file does not hold this effect's parameters.
+        That of the probe whose shape is nearest, of an effect that it knows.
         """
-        names = {d.name for d in signature.directions}
-        known = self._known(name, names, set(signature.shape))
-        if not known:
-            raise ValueError(
-                f"the file of the images' noise does not hold the effect {name} "
-                f"({', '.join(sorted(names))}); make it again with find-gap --fit-optical-noise"
-            )
+        known = self._known(name, {d.name for d in signature.directions}, set(signature.shape))
         step = signature.directions[0].step
         nearest = min(known, key=lambda one: _distance(one, signature, known, step))
         return np.array([(nearest.deviation[d.name] / d.step) ** 2 for d in signature.directions])
-
-    def spurious_of(
-        self, signatures: Mapping[str, Sequence[Signature]]
-    ) -> dict[str, list[FloatArray]]:
-        """Return the variances of all signatures, as `OpticalSearch` takes them."""
-        return {
-            name: [self.variances(name, one) for one in several]
-            for name, several in signatures.items()
-        }
 
     @property
     def usual_excess(self) -> float:
@@ -235,17 +216,14 @@ def _spurious_sizes(
             name,
             dict(one.shape),
             one.directions[0].step,
-            _deviations(one.directions, variance),
+            {
+                d.name: abs(d.step) * float(np.sqrt(v))
+                for d, v in zip(one.directions, variance, strict=True)
+            },
         )
         for name, several in signatures.items()
         for one, variance in zip(several, variances[name], strict=True)
     )
-
-
-def _deviations(directions: Sequence[Direction], variance: FloatArray) -> dict[str, float]:
-    return {
-        d.name: abs(d.step) * float(np.sqrt(v)) for d, v in zip(directions, variance, strict=True)
-    }
 
 
 def save_optical_null(null: OpticalNull, path: Path) -> None:

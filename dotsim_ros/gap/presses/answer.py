@@ -266,7 +266,7 @@ def _two(search: Search, pair: Sequence[Ranked], stability: float) -> Decision:
     """Return whether two effects can be named together."""
     first, second = pair
     is_implausible = any(
-        size_beyond_range(search, entry, beside=other) is not None
+        size_beyond_range(search, entry, other) is not None
         for entry, other in ((first, second), (second, first))
     )
     if is_implausible or _explained(search, pair) < decision.EXPLAINED:
@@ -274,19 +274,19 @@ def _two(search: Search, pair: Sequence[Ranked], stability: float) -> Decision:
     return Decision(Verdict.NAMED, tuple(pair), stability=stability)
 
 
-def size_beyond_range(search: Search, entry: Ranked, beside: Ranked | None = None) -> float | None:
+def size_beyond_range(search: Search, entry: Ranked, other: Ranked | None = None) -> float | None:
     """Return the size beyond its plausible range that the data ask an effect for, None where they
     are explained as well within.
 
     Args:
         search: the case.
         entry: the effect, as it was found within its range.
-        next to: another one that acts, too.
+        other: another one that acts, too; None for none.
     """
     end = entry.end
     if end is None:
         return None
-    evidence = search.evidence if beside is None else search.evidence.without(beside.trial.change)
+    evidence = search.evidence if other is None else search.evidence.without(other.trial.change)
     variant = entry.trial.variant
     above = end > variant.absent
     outermost = search.segments([variant])[-1 if above else 0]
@@ -317,7 +317,7 @@ def _left(search: Search, entries: Sequence[Ranked]) -> float:
     own = _fit_of(evidence, entries).objective
     widened = evidence.with_nuisances(search.pattern_columns)
     everything = _fit_by_channel(widened, _by_channel(search, entries)).objective
-    # What patterns remove of noise alone is no gap.
+    # What patterns remove of noise alone is not a gap.
     by_patterns = own - everything - search.pattern_chance
     misfit = own - search.misfit_limit * len(evidence.residual)
     return max(by_patterns, misfit, 0.0)

@@ -63,14 +63,16 @@ def findings_of(
         if closed is None:
             search.warnings.append("the held-out trajectories show no gap that could be closed")
         elif search.held_out and leaves_open(closed):
-            # What explains the searched trajectories alone is no explanation.
+            # What explains the searched trajectories alone is not an explanation.
             left_open, closed = closed.share, None
             nearest = list(decided.named)
             decided = Decision(Verdict.UNKNOWN)
             residuals, refitted = _with_effects(search, [])
     named, verdict = decided.named, decided.verdict
-    told = [(entry.effect, entry.estimates) for entry in named]
-    search.warnings += wording.certainty_warnings("", decided.stability if named else None, told)
+    estimated = [(entry.effect, entry.estimates) for entry in named]
+    search.warnings += wording.certainty_warnings(
+        "", decided.stability if named else None, estimated
+    )
     worst = worst_frame(
         case,
         residuals,
@@ -97,7 +99,7 @@ def findings_of(
         sentence = wording.unknown(place, [e.effect for e in nearest], reasons)
     else:
         alternatives = [e.effect for e in decided.alternatives]
-        sentence = wording.missing(told, alternatives, gaps, is_held_out=bool(search.held_out))
+        sentence = wording.missing(estimated, alternatives, gaps, is_held_out=bool(search.held_out))
     findings = Findings(
         verdict=verdict,
         sentence=sentence,

@@ -236,16 +236,16 @@ class Case:
         """Return as `change_at`, the nodes next to the size simulated where they were not, and what
         could not be solved."""
         right = _node_after(variant, size)
-        missing = [
-            (place, [number for number, one in enumerate(variant.change[place]) if one is None])
-            for place in (right - 1, right)
-        ]
-        found, failures = self._simulate(
-            [(variant, variant.node[place], numbers) for place, numbers in missing]
+        failures = self._fill(
+            [
+                (
+                    variant,
+                    variant.node[k],
+                    [n for n, one in enumerate(variant.change[k]) if one is None],
+                )
+                for k in (right - 1, right)
+            ]
         )
-        for (place, numbers), changes in zip(missing, found, strict=True):
-            for number, one in zip(numbers, changes, strict=True):
-                variant.change[place][number] = one
         change = [one for one in self.change_at(variant, size) if one is not None]
         return change, failures
 
@@ -298,39 +298,34 @@ class Case:
             among: numbers of the trajectories along which they are simulated; None for all.
         """
         numbers = range(len(self.trajectories)) if among is None else among
-        found, failures = self._simulate([(v, size, numbers) for v, size in wanted], progress)
-        for (variant, size), changes in zip(wanted, found, strict=True):
-            change: list[FloatArray | None] = [None] * len(self.trajectories)
-            for number, one in zip(numbers, changes, strict=True):
-                change[number] = one
-            variant.put(size, change)
-        return failures
+        for variant, size in wanted:
+            variant.put(size, [None] * len(self.trajectories))
+        return self._fill([(variant, size, numbers) for variant, size in wanted], progress)
 
-    def _simulate(
+    def _fill(
         self,
         wanted: Sequence[tuple[Variant, float, Sequence[int]]],
         progress: Progress | None = None,
-    ) -> tuple[list[list[FloatArray]], list[str]]:
-        """Return (F, SIZE) of each variant at its size along each of its trajectories, and what
-        could not be solved: no change, as along the reference's."""
+    ) -> list[str]:
+        """Simulate each variant at the size of one of its nodes along some trajectories; return
+        what could not be solved: there is no change there, as along the reference's."""
         requests, owners = [], []
-        changes = [
-            [np.zeros_like(self.trajectories[number].predicted) for number in numbers]
-            for _, _, numbers in wanted
-        ]
-        for row, (variant, size, numbers) in enumerate(wanted):
+        for variant, size, numbers in wanted:
+            change = variant.change[variant.node.index(size)]
             active = Active(variant.effect, variant.effect.checked(variant.values(size)))
-            for place, number in enumerate(numbers):
+            for number in numbers:
                 t = self.trajectories[number]
+                change[number] = np.zeros_like(t.predicted)
                 if not t.is_reference:
                     requests.append(request_of(t.recording, self.values, effects=[active]))
-                    owners.append((row, place, t))
+                    owners.append((change, number))
         results, failures = self.solver.run_each(requests, progress)
-        for (row, place, t), result in zip(owners, results, strict=True):
+        for (change, number), result in zip(owners, results, strict=True):
             if result is not None:
+                t = self.trajectories[number]
                 shown = observed_of(t.recording, t.places, result, self.rest_m)
-                changes[row][place] = shown - t.predicted
-        return changes, failures
+                change[number] = shown - t.predicted
+        return failures
 
     def segments(self, variant: Variant, chosen: Sequence[int]) -> list[Segment]:
         """Return the segments between a variant's nodes, and beyond the outermost within range."""

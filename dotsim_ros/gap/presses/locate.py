@@ -152,7 +152,7 @@ def _squares(residuals: Residuals, t: int) -> tuple[float, float, float]:
     result = np.zeros(3)
     for part in CHANNELS.values():
         deviation = residuals.deviation[t][:, part]
-        # NaN, where nothing was observed, is no part of a footprint.
+        # NaN, where nothing was observed, is not part of a footprint.
         before = residuals.recalibrated[t][:, part] / deviation
         after = residuals.after[t][:, part] / deviation
         there = np.abs(before - after) > FOOTPRINT

@@ -70,11 +70,15 @@ def no_gap_sentence(search: Search, gaps: Sequence[ChannelGap]) -> str:
         effect = SHOWN_BY.get(names[k])
         shown = "" if effect is None else f" ({wording.amid(case.library[effect].title)})"
         constants.append(" with ".join(texts) + shown)
-    told = [names[k] for _, k, _ in enough or alone[:2]]
+    shown_by = [names[k] for _, k, _ in enough or alone[:2]]
     return wording.made_up(
         off,
         constants,
-        [f"{name}: {case.library[SHOWN_BY[name]].protocol}" for name in told if name in SHOWN_BY],
+        [
+            f"{name}: {case.library[SHOWN_BY[name]].protocol}"
+            for name in shown_by
+            if name in SHOWN_BY
+        ],
     )
 
 

@@ -85,7 +85,7 @@ def made_up(off: Sequence[ChannelGap], alone: Sequence[str], protocols: Sequence
         off: channels in which it is.
         alone: constants of which each would do, with the stiffness next to it, as well as all
             together, in words.
-        protocols: what to record to tell them, by constant.
+        protocols: what to record to distinguish them, by constant.
     """
     rms = ", ".join(
         f"{gap.channel} {gap.before:.3g} {gap.unit} ({gap.before / gap.floor:.1f} times the floor)"
@@ -304,8 +304,8 @@ def learnt_from_reference(effects: Sequence[Effect], source: str) -> str:
 
 
 def amid_all(effects: Sequence[Effect], *, are_two: bool) -> str:
-    """Return the titles of two effects that act together, or of those that cannot be told apart, as
-    they stand within a sentence."""
+    """Return the titles of two effects that act together, or of those that are not distinguished,
+    as they stand within a sentence."""
     return (" and " if are_two else " or ").join(amid(effect.title) for effect in effects)
 
 
