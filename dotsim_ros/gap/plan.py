@@ -15,7 +15,7 @@ import numpy as np
 from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.measurement import protocol_of, read_poses
 from dotsim_ros.effects.effect import FORCE
-from dotsim_ros.effects.simulate import open_solver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, open_solver
 from dotsim_ros.gap.decision import ALIKE, APART
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, centred
 from dotsim_ros.gap.presses.certainty import pairs_of
@@ -65,11 +65,10 @@ def plan(request: GapRequest) -> dict[str, Any]:
         request.sensor,
         skin,
         request.directory / "solves",
-        library=library,
         workers=request.workers,
     ) as solver:
         # What will be measured: forces set the discrepancy, and how far an arm gives way.
-        expected = solver.run([request_of(r, values) for r in recordings])
+        expected = solver.run([EffectRequest(r, values) for r in recordings])
         recordings = tuple(
             replace(
                 r,

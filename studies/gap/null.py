@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dotsim_ros.data.measurement import Measurement
-from dotsim_ros.effects.simulate import open_solver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, open_solver
 from dotsim_ros.gap.presses.observables import observe, places_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.io.arrays import FloatArray
@@ -36,7 +36,7 @@ def residuals_without_effect(
     """
     rest_m, values = measurement.skin.rest_position_m, values_of(sensor)
     with open_solver(sensor, measurement.skin, directory, workers=workers) as solver:
-        answers = solver.run([request_of(r, values) for r in measurement.recordings], progress)
+        answers = solver.run([EffectRequest(r, values) for r in measurement.recordings], progress)
     result = []
     for recording, answer in zip(measurement.recordings, answers, strict=True):
         places, press = places_of(recording, measurement.skin), recording.press

@@ -19,7 +19,7 @@ from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.measurement import one_of_each, protocol_of
 from dotsim_ros.effects.effect import IMAGE, Effect
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
-from dotsim_ros.effects.simulate import open_solver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, open_solver
 from dotsim_ros.gap.findings import (
     Candidate,
     ChannelGap,
@@ -122,12 +122,11 @@ def case_of(
         sensor,
         skin_of(sensor.gel),
         request.directory / "solves",
-        library=library,
         workers=request.workers,
     ) as solver:
         answers, failures = solver.run_each(
             [
-                request_of(one.recording, values_of(sensor), effects=active)
+                EffectRequest(one.recording, values_of(sensor), effects=active)
                 for one in images.trajectories
             ],
             lambda done, total: progress("skins of the images", done, total),

@@ -14,12 +14,13 @@ import numpy as np
 from dotsim_ros.calibration.parameters import PARAMETERS, with_coordinates
 from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import Active, Effect
-from dotsim_ros.effects.simulate import EffectRequest, request_of
+from dotsim_ros.effects.simulate import EffectRequest
 from dotsim_ros.gap.presses.observables import PATCH_COUNT
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.io.arrays import FloatArray
 
 SHIFT_STEP_M = 0.1e-3
+SHIFTS_M = ((SHIFT_STEP_M, 0.0, 0.0), (0.0, SHIFT_STEP_M, 0.0), (0.0, 0.0, SHIFT_STEP_M))
 STEPS = {"nu": 0.2, "friction": 0.2, "c20": 0.08}
 """Steps of the finite differences, in the parameters' coordinates: of the size of the priors."""
 TOLERANCES = {
@@ -110,16 +111,16 @@ def nuisance_requests(
     recording: Recording, values: GelValues, library: Mapping[str, Effect]
 ) -> list[EffectRequest]:
     """Return what must be simulated for the columns of a trajectory, the twin as it is first."""
-    result = [request_of(recording, values)]
+    result = [EffectRequest(recording, values)]
     for name, step in STEPS.items():
         parameter = PARAMETERS[name]
         at = parameter.to_coordinate(getattr(values, parameter.field))
         moved = with_coordinates(values, [parameter], np.array([at + step]))
-        result.append(request_of(recording, moved))
-    result += [request_of(recording, values, shift_m=axis) for axis in SHIFT_STEP_M * np.eye(3)]
+        result.append(EffectRequest(recording, moved))
+    result += [EffectRequest(recording, values, shift_m=shift_m) for shift_m in SHIFTS_M]
     for name, parameters in TOLERANCES.values():
         active = Active(library[name], library[name].checked(parameters))
-        result.append(request_of(recording, values, effects=[active]))
+        result.append(EffectRequest(recording, values, effects=[active]))
     return result
 
 

@@ -13,7 +13,7 @@ from dotsim_ros.calibration.parameters import PARAMETERS
 from dotsim_ros.data.measurement import Measurement
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
-from dotsim_ros.effects.simulate import request_of
+from dotsim_ros.effects.simulate import EffectRequest
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict, candidate_of
 from dotsim_ros.gap.presses.answer import (
@@ -232,7 +232,7 @@ def _skins(
     effects = [
         Active(e.effect, e.effect.checked(e.trial.variant.values(e.trial.size))) for e in named
     ]
-    requests = [request_of(recording, search.case.values, effects=e) for e in ((), effects)]
+    requests = [EffectRequest(recording, search.case.values, effects=e) for e in ((), effects)]
     try:
         without, with_effects = search.case.solver.run(requests)
     except SolveError as error:

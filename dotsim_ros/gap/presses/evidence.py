@@ -14,7 +14,7 @@ import numpy as np
 
 from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
-from dotsim_ros.effects.simulate import EffectSolver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, EffectSolver
 from dotsim_ros.gap.presses.assumptions import (
     OWN,
     PressNuisance,
@@ -317,7 +317,7 @@ class Case:
                 t = self.trajectories[number]
                 change[number] = np.zeros_like(t.predicted)
                 if not t.is_reference:
-                    requests.append(request_of(t.recording, self.values, effects=[active]))
+                    requests.append(EffectRequest(t.recording, self.values, effects=[active]))
                     owners.append((change, number))
         results, failures = self.solver.run_each(requests, progress)
         for (change, number), result in zip(owners, results, strict=True):

@@ -13,7 +13,7 @@ import numpy as np
 
 from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
-from dotsim_ros.effects.simulate import EffectRequest, request_of
+from dotsim_ros.effects.simulate import EffectRequest
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, Products, fit, parts_of, settle
 from dotsim_ros.gel.values import GelValues
@@ -157,7 +157,7 @@ def planned_requests(
             shaped = dict(zip((p.name for p in others), shape, strict=True))
             for probe in first.probes:
                 active = Active(effect, effect.checked({first.name: probe, **shaped}))
-                requests += [request_of(r, values, effects=[active]) for r in measured]
+                requests += [EffectRequest(r, values, effects=[active]) for r in measured]
     return requests
 
 

@@ -79,7 +79,6 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         request.sensor,
         measurement.skin,
         request.directory / "solves",
-        library=library,
         workers=request.workers,
     ) as solver:
         first, last = _plan(request, measurement, reference, solver, progress)
