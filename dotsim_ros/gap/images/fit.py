@@ -39,7 +39,6 @@ from dotsim_ros.gap.images.search import (
     signatures_of,
 )
 from dotsim_ros.gap.images.tile_noise import TileNoise
-from dotsim_ros.gap.resampling import BOOTSTRAPS, Contest, bootstrap_weights, stability
 from dotsim_ros.io.arrays import FloatArray
 
 ROUNDS = 2
@@ -182,7 +181,7 @@ class ImageSearch:
             if len(named) == 1:
                 alternatives = self._alternatives(measured, scores, named[0])
             verdict = Verdict.SET if alternatives else Verdict.NAMED
-            weights = bootstrap_weights(len(self.shots), BOOTSTRAPS, self._random)
+            weights = decision.bootstrap_weights(len(self.shots), decision.BOOTSTRAPS, self._random)
             alone = [
                 (one, self._without(measured, [other for other in named if other is not one]))
                 for one in named
@@ -364,7 +363,7 @@ class ImageSearch:
         of two named, each next to the other."""
         named = {one.effect.name for one, _ in alone}
 
-        def contest(one: Fitted, rest: Sequence[FloatArray]) -> Contest:
+        def contest(one: Fitted, rest: Sequence[FloatArray]) -> decision.Contest:
             taken = named - {one.effect.name}
             products = self.search.products(rest)
 
@@ -375,7 +374,7 @@ class ImageSearch:
 
             return winner, {one.effect.name, *alternatives}
 
-        return stability([contest(*one) for one in alone], weights)
+        return decision.stability([contest(*one) for one in alone], weights)
 
 
 def mean_squares(

@@ -21,7 +21,6 @@ from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances
 from dotsim_ros.gap.presses.screening import Trial
-from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.worker_pool.pool import Crew, check_workers
 from dotsim_ros.specification import SensorSpecification
@@ -180,4 +179,4 @@ class Search:
     @cached_property
     def bootstraps(self) -> FloatArray:
         """(BOOTSTRAPS, T) how often each chosen trajectory counts in each repetition."""
-        return bootstrap_weights(len(self.chosen), BOOTSTRAPS, self.random)
+        return decision.bootstrap_weights(len(self.chosen), decision.BOOTSTRAPS, self.random)

@@ -13,7 +13,6 @@ from dotsim_ros.effects.effect import Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import ALL, ChannelGap, ResidualPlace
-from dotsim_ros.gap.resampling import BOOTSTRAPS
 
 FEW = 4
 
@@ -230,8 +229,8 @@ def certainty_warnings(found: str, stability: float | None, named: Named) -> lis
     texts = []
     if stability is not None and stability < decision.STABLE_SHARE:
         texts.append(
-            f"the name{found} is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions "
-            "over trajectories agree; record more trajectories"
+            f"the name{found} is not stable: {stability:.0%} of {decision.BOOTSTRAPS} bootstrap "
+            "repetitions over trajectories agree; record more trajectories"
         )
     reached = [reaches_end(effect, estimates[0]) for effect, estimates in named]
     return [*texts, *(text for text in reached if text is not None)]
