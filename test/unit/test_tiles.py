@@ -101,10 +101,3 @@ def test_noise_is_that_of_single_images(meter):
     found = meter.noise(many[:5])
     np.testing.assert_allclose(found.mean(axis=0), expected.mean(axis=0), rtol=0.3)
     assert found.shape == (len(meter.grid), len(NAMES))
-
-
-def test_images_of_another_size_are_refused(meter):
-    with pytest.raises(ValueError, match=r"expected \(F, 120, 160, 3\) of both"):
-        meter.difference(np.zeros((1, 60, 80, 3)), np.zeros((1, 60, 80, 3)))
-    with pytest.raises(ValueError, match="idle frame of shape"):
-        TileMeter(meter.grid, np.zeros((60, 80, 3)))

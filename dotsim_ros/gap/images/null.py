@@ -173,7 +173,7 @@ def fit_optical_null(
         progress: called with the number of trajectories done, and of all.
 
     Raises:
-        ValueError: fewer than five trajectories, or a single idle image.
+        ValueError: a single idle image.
     """
     shots = [shot for shot in case.shots if shot.name != IDLE]
     if not np.all(np.isfinite(case.camera)):

@@ -132,20 +132,10 @@ class TileMeter:
     Args:
         grid: the tiles.
         idle: (H, W, 3) the frame whose sharpness is 1.
-
-    Raises:
-        ValueError: the idle frame has another size than the grid.
     """
 
     grid: TileGrid
     idle: FloatArray
-
-    def __post_init__(self) -> None:
-        if self.idle.shape != (*self.grid.tile.shape, 3):
-            raise ValueError(
-                f"idle frame of shape {self.idle.shape}, expected {(*self.grid.tile.shape, 3)} as "
-                "the tiles"
-            )
 
     def colour(self, images: NDArray[np.generic]) -> FloatArray:
         """Return (F, T, 3) mean colours, levels, of images (F, H, W, 3)."""
@@ -160,34 +150,13 @@ class TileMeter:
     def difference(
         self, images: NDArray[np.generic], references: NDArray[np.generic]
     ) -> FloatArray:
-        """Return (F, T, 6) the observables `NAMES` of images against references.
-
-        Args:
-            images, references: (F, H, W, 3).
-
-        Raises:
-            ValueError: their shapes differ from each other or from the grid.
-        """
+        """Return (F, T, 6) the observables `NAMES` of images against references, (F, H, W, 3)."""
         return self.differences([images], references)[0]
 
     def differences(
         self, several: Sequence[NDArray[np.generic]], references: NDArray[np.generic]
     ) -> list[FloatArray]:
-        """Return `difference` of several films against one, in less time than one by one.
-
-        Args:
-            several: each (F, H, W, 3).
-            references: (F, H, W, 3).
-
-        Raises:
-            ValueError: as `difference`.
-        """
-        for images in several:
-            if images.shape != references.shape or images.shape[1:] != self.idle.shape:
-                raise ValueError(
-                    f"images of shape {images.shape} against {references.shape}, expected (F, "
-                    f"{', '.join(map(str, self.idle.shape))}) of both"
-                )
+        """Return `difference` of several films against one, in less time than one by one."""
         rest = self._detail(_smooth_grey(self.idle))
         results = [np.empty((len(references), len(self.grid), len(NAMES))) for _ in several]
         for frame, image in enumerate(references):
@@ -225,16 +194,8 @@ class TileMeter:
         `NOISE_PRIOR_IMAGES` images: of a few images alone it would be off by a third.
 
         Args:
-            repeats: (N, H, W, 3) of one scene.
-
-        Raises:
-            ValueError: fewer than two images.
+            repeats: (N, H, W, 3) of one scene, two at least.
         """
-        if len(repeats) < 2:
-            raise ValueError(
-                f"noise from {len(repeats)} images, expected two at least of the same scene; "
-                "record several idle images"
-            )
         mean = repeats.mean(axis=0, dtype=np.float64)
         found = self.difference(repeats, np.broadcast_to(mean, repeats.shape))
         # A mean of noisy images has less detail than any of them: spread, not distance.

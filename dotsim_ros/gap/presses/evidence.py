@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -271,14 +272,9 @@ class Case:
 
     def variants(self, effect: Effect) -> list[Variant]:
         """Return the variants of an effect, with the absent effect as their only node."""
-        shapes: list[dict[str, float]] = [{}]
-        for parameter in effect.parameters[1:]:
-            shapes = [
-                {**shape, parameter.name: value} for shape in shapes for value in parameter.probes
-            ]
         nothing = [np.zeros_like(t.predicted) for t in self.trajectories]
         result = []
-        for shape in shapes:
+        for shape in shapes_of(effect):
             variant = Variant(effect, shape)
             variant.put(variant.absent, nothing)
             result.append(variant)
@@ -348,6 +344,13 @@ class Case:
             column = (white[k + 1] - white[k]) / width
             result.append(Segment(variant, variant.node[k], white[k], column, low, high))
         return result
+
+
+def shapes_of(effect: Effect) -> list[dict[str, float]]:
+    """Return the values at which the parameters next to the size are tried."""
+    others = effect.parameters[1:]
+    tried = product(*(parameter.probes for parameter in others))
+    return [dict(zip((p.name for p in others), values, strict=True)) for values in tried]
 
 
 def _node_after(variant: Variant, size: float) -> int:
