@@ -262,7 +262,7 @@ def _optical_findings(
     judged = case.of(locked) or [s for s in search.shots if s.name != IDLE] or search.shots
     before = [shot.residual for shot in judged]
     after = without_effects(case, judged, before, answer.named)
-    closed = None, None, None
+    closed: Closed = (None, None, None)
     if answer.named:
         squares = [mean_squares(judged, one, search.noise, case) for one in (before, after)]
         sizes = np.array([one.size for one in before])

@@ -17,7 +17,7 @@ is unknown, unless an effect that takes off as much is within its own range.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -94,16 +94,16 @@ class OpticalAnswer:
     """
 
     verdict: Verdict
-    named: tuple[Fitted, ...]
-    alternatives: tuple[str, ...]
     scores: tuple[EffectScore, ...]
     statistic: float
     threshold: float
-    explained: float
     excess: float
     largest_excess: float
-    stability: float | None
-    estimates: Mapping[str, tuple[Estimate, ...]]
+    explained: float = 0.0
+    named: tuple[Fitted, ...] = ()
+    alternatives: tuple[str, ...] = ()
+    estimates: Mapping[str, tuple[Estimate, ...]] = field(default_factory=dict)
+    stability: float | None = None
     beyond: BeyondRange | None = None
 
 
@@ -155,54 +155,44 @@ class ImageSearch:
         """Return what the rule makes of residuals (F, T, 6) of the shots; None for their own."""
         measured = [s.residual for s in self.shots] if residuals is None else list(residuals)
         scores = self.search.score(measured)
-        statistic = max(score.statistic for score in scores)
         count = sum(one.size for one in measured)
         most = self.null.largest_excess(self.alpha)
         before = self._square(measured)
+        answer = OpticalAnswer(
+            Verdict.UNKNOWN if before / count > most else Verdict.NO_GAP,
+            scores=tuple(scores),
+            statistic=max(score.statistic for score in scores),
+            threshold=self.threshold,
+            excess=before / count,
+            largest_excess=most,
+        )
         able = [score for score in scores if score.statistic > self.threshold]
-        named: list[Fitted] = []
-        beyond: BeyondRange | None = None
-        explained = 0.0
-        if able:
-            named, left, beyond = self._plausible(measured, able)
-            gained = before - left
-            explained = gained / max(gained + max(left - most * count, 0.0), 1e-9)
-        excess = before / count
-        verdict = Verdict.NO_GAP
-        if able:
-            is_answer = beyond is None and explained >= decision.EXPLAINED
-            verdict = Verdict.NAMED if is_answer else Verdict.UNKNOWN
-        elif excess > most:
-            verdict = Verdict.UNKNOWN
-        alternatives: tuple[str, ...] = ()
-        stable = None
-        estimates: dict[str, tuple[Estimate, ...]] = {}
-        if verdict is Verdict.NAMED:
-            if len(named) == 1:
-                alternatives = self._alternatives(measured, scores, named[0])
-            verdict = Verdict.SET if alternatives else Verdict.NAMED
-            weights = decision.bootstrap_weights(len(self.shots), decision.BOOTSTRAPS, self._random)
-            alone = [
-                (one, self._without(measured, [other for other in named if other is not one]))
-                for one in named
-            ]
-            estimates = self._estimates(alone, weights)
-            stable = self._stability(alone, alternatives, weights)
-        else:
-            named = []
-        return OpticalAnswer(
-            verdict,
-            tuple(named),
-            alternatives,
-            tuple(scores),
-            statistic,
-            self.threshold,
-            float(np.clip(explained, 0.0, 1.0)),
-            excess,
-            most,
-            stable,
-            estimates,
-            beyond,
+        if not able:
+            return answer
+        named, left, beyond = self._plausible(measured, able)
+        gained = before - left
+        explained = gained / max(gained + max(left - most * count, 0.0), 1e-9)
+        answer = replace(
+            answer,
+            verdict=Verdict.UNKNOWN,
+            explained=float(np.clip(explained, 0.0, 1.0)),
+            beyond=beyond,
+        )
+        if beyond is not None or explained < decision.EXPLAINED:
+            return answer
+        alternatives = self._alternatives(measured, scores, named[0]) if len(named) == 1 else ()
+        weights = decision.bootstrap_weights(len(self.shots), decision.BOOTSTRAPS, self._random)
+        alone = [
+            (one, self._without(measured, [other for other in named if other is not one]))
+            for one in named
+        ]
+        return replace(
+            answer,
+            verdict=Verdict.SET if alternatives else Verdict.NAMED,
+            named=tuple(named),
+            alternatives=alternatives,
+            estimates=self._estimates(alone, weights),
+            stability=self._stability(alone, alternatives, weights),
         )
 
     def _plausible(
