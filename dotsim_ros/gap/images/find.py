@@ -165,9 +165,13 @@ def _null_of(
             commissioned = replace(request, measured=request.reference)
             case = case_of(commissioned, *images_of(commissioned), progress)
             _check_enough(case)
-            name = read_data_set(request.reference).directory.name
-            source = f"{len(case.shots) - 1} trajectories of {name}"
-            limit = wording.learnt_from_reference(unknown, source)
+            folder = read_data_set(request.reference).directory.name
+            source = f"{len(case.shots) - 1} trajectories of {folder}"
+            names = ", ".join(effect.name for effect in unknown)
+            limit = (
+                f"the file of the images' noise does not hold {names}: their limits come from "
+                f"{source}, the reference, in which no effect is taken to be missing"
+            )
             return null.with_effects(unknown, case), [limit], case.solve_count
         except (FileNotFoundError, ValueError) as error:
             reason = str(error)

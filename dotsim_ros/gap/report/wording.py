@@ -202,22 +202,6 @@ def _unit(parameter: EffectParameter | Estimate) -> str:
     return f" {parameter.unit}" if parameter.unit else ""
 
 
-def weighed(effect: Effect, estimate: Estimate, names: Sequence[str]) -> str:
-    """Return that known weights give the scale of the force, in a sentence."""
-    return (
-        f"{effect.title} is missing, by the known weight ({', '.join(names)}): {shown(estimate)}; "
-        "the presses were searched with forces divided by it."
-    )
-
-
-def weight_without_reference(names: Sequence[str]) -> str:
-    """Return why weights are not used against a commissioning, and what to do."""
-    return (
-        f"the known weight ({', '.join(names)}) was not used: the commissioning has none, so how "
-        "its gauge read is not known; weigh at each commissioning, or search without --reference"
-    )
-
-
 def certainty_warnings(found: str, stability: float | None, named: Named) -> list[str]:
     """Return what is uncertain of a name, and of the sizes of named effects.
 
@@ -232,26 +216,17 @@ def certainty_warnings(found: str, stability: float | None, named: Named) -> lis
             f"the name{found} is not stable: {stability:.0%} of {decision.BOOTSTRAPS} bootstrap "
             "repetitions over trajectories agree; record more trajectories"
         )
-    reached = [reaches_end(effect, estimates[0]) for effect, estimates in named]
-    return [*texts, *(text for text in reached if text is not None)]
-
-
-def reaches_end(effect: Effect, estimate: Estimate) -> str | None:
-    """Return that an interval reaches the end of the plausible range, None for one that does not.
-
-    Args:
-        effect: that is named.
-        estimate: of its first parameter.
-    """
-    first = effect.parameters[0]
-    ends = [end for end in map(first.end_at, (estimate.low, estimate.high)) if end is not None]
-    if not ends:
-        return None
-    return (
-        f"the interval of {effect.name}.{first.name} reaches the end of its range, {ends[0]:.3g}"
-        f"{_unit(first)}: the data do not say how large it is, and it may stand for something else "
-        "that looks alike"
-    )
+    for effect, estimates in named:
+        first = effect.parameters[0]
+        ends = [first.end_at(end) for end in (estimates[0].low, estimates[0].high)]
+        reached = next((end for end in ends if end is not None), None)
+        if reached is not None:
+            texts.append(
+                f"the interval of {effect.name}.{first.name} reaches the end of its range, "
+                f"{reached:.3g}{_unit(first)}: the data do not say how large it is, and it may "
+                "stand for something else that looks alike"
+            )
+    return texts
 
 
 def image_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int) -> list[str]:
@@ -291,14 +266,6 @@ def not_tried_warning(effects: Sequence[Effect], least: int, reason: str) -> str
         f"{text}. Estimate it from {least} trajectories or more with images in which no effect is "
         "missing: dotsim_ros find-gap --measured DIR --effects DIR --fit-optical-noise FILE, then "
         "search with --optical-noise FILE; or give those trajectories as --reference"
-    )
-
-
-def learnt_from_reference(effects: Sequence[Effect], source: str) -> str:
-    """Return that some effects' limits come from the reference, which is taken to have none."""
-    return (
-        f"the file of the images' noise does not hold {', '.join(e.name for e in effects)}: their "
-        f"limits come from {source}, the reference, in which no effect is taken to be missing"
     )
 
 
