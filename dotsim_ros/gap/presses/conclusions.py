@@ -30,10 +30,11 @@ from dotsim_ros.gap.presses.locate import (
     Closed,
     Residuals,
     channel_gaps,
+    frame_of,
     places_of_gap,
     residuals_of,
     share_closed,
-    worst_frame,
+    worst_place,
 )
 from dotsim_ros.gap.presses.made_up import no_gap_sentence
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
@@ -73,18 +74,15 @@ def findings_of(
     search.warnings += wording.certainty_warnings(
         "", decided.stability if named else None, estimated
     )
-    worst = worst_frame(
-        case,
-        residuals,
-        measured,
-        lambda number: _skins(search, number, named),
-    )
+    place, worst = worst_place(residuals, measured), None
+    if place is not None:
+        worst = frame_of(case, residuals, *place, _skins(search, place[0], named))
     fallback: tuple[ChannelGap, ...] = ()
     if verdict is Verdict.UNKNOWN:
         fallback = channel_gaps(_fallback(search), judged)
     gaps = channel_gaps(residuals, judged)
     places = places_of_gap(case, residuals, measured, search.random)
-    place = wording.largest_place(places)
+    where = wording.largest_place(places)
     if verdict is Verdict.NO_GAP:
         sentence = no_gap_sentence(search, gaps)
     elif decided.doubted:
@@ -92,11 +90,11 @@ def findings_of(
             [e.effect for e in decided.doubted],
             are_two=decided.are_two,
             stability=decided.stability or 0.0,
-            place=place,
+            place=where,
         )
     elif verdict is Verdict.UNKNOWN:
         reasons = _reasons(search, nearest, left_open)
-        sentence = wording.unknown(place, [e.effect for e in nearest], reasons)
+        sentence = wording.unknown(where, [e.effect for e in nearest], reasons)
     else:
         alternatives = [e.effect for e in decided.alternatives]
         sentence = wording.missing(estimated, alternatives, gaps, is_held_out=bool(search.held_out))
@@ -226,9 +224,11 @@ def _calibrated(case: Case, refitted: Fit) -> tuple[Estimate, ...]:
 def _skins(
     search: Search, number: int, named: Sequence[Ranked]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the skins (F, V, 3) of a trajectory without and with the effects, None where the gel
-    could not be solved."""
+    """Return the skins (F, V, 3) of a trajectory without and with the effects, None where none was
+    measured, and where the gel could not be solved."""
     recording = search.case.trajectories[number].recording
+    if recording.press.skin_position_m is None:
+        return None
     effects = [
         Active(e.effect, e.effect.checked(e.trial.variant.values(e.trial.size))) for e in named
     ]

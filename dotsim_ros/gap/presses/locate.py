@@ -6,7 +6,7 @@ after effects are added."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -220,21 +220,10 @@ def _interval(squares: FloatArray, random: np.random.Generator) -> tuple[float, 
     return float(low), float(high)
 
 
-def worst_frame(
-    case: Case,
-    residuals: Residuals,
-    chosen: Sequence[int],
-    skins_of: Callable[[int], tuple[FloatArray, FloatArray] | None],
-) -> WorstFrame | None:
-    """Return the frame with the largest residual before.
-
-    Args:
-        case: the data.
-        residuals: of it.
-        chosen: trajectories to look at.
-        skins_of: returns a trajectory's skins, simulated without and with the effects, (F, V, 3).
-    """
-    worst, place = -1.0, (-1, -1)
+def worst_place(residuals: Residuals, chosen: Sequence[int]) -> tuple[int, int] | None:
+    """Return which trajectory, and which frame of it, has the largest residual before; None where
+    nothing was observed."""
+    worst, place = -1.0, None
     for t in chosen:
         scaled = (residuals.before[t] / residuals.deviation[t]) ** 2
         for frame, row in enumerate(scaled):
@@ -242,19 +231,26 @@ def worst_frame(
             size = float(np.mean(row[there])) if there.any() else -1.0
             if size > worst:
                 worst, place = size, (t, frame)
-    t, frame = place
-    if t < 0:
-        return None
+    return place
+
+
+def frame_of(
+    case: Case,
+    residuals: Residuals,
+    t: int,
+    frame: int,
+    skins: tuple[FloatArray, FloatArray] | None,
+) -> WorstFrame:
+    """Return what a trajectory shows in a frame, with its skins, simulated without and with the
+    effects, (F, V, 3); None where they are not known."""
     trajectory = case.trajectories[t]
     press = trajectory.recording.press
-    to_base = trajectory.places.axes
     load = CHANNELS["force"]
     forces = [
-        (trajectory.observed - left)[frame, load] @ to_base
+        ((trajectory.observed - left)[frame, load] @ trajectory.places.axes).tolist()
         for left in (residuals.before[t], residuals.after[t])
     ]
     has_force = press.force_n is not None
-    skins = None if press.skin_position_m is None else skins_of(t)
     return WorstFrame(
         trajectory.recording.name,
         frame,
@@ -264,8 +260,7 @@ def worst_frame(
         _rounded(skins[0][frame]) if skins is not None else [],
         _rounded(skins[1][frame]) if skins is not None else [],
         press.force_n[frame].tolist() if press.force_n is not None else [],
-        forces[0].tolist() if has_force else [],
-        forces[1].tolist() if has_force else [],
+        *(forces if has_force else ([], [])),
     )
 
 
