@@ -204,7 +204,7 @@ def vignetted(takes: Takes) -> np.ndarray:
 def test_a_camera_that_changed_is_in_the_overlay(
     tmp_path: Path, unit: Unit, run: Path, sensor: SensorSpecification
 ) -> None:
-    data = measure(unit, tmp_path, lambda takes: LAWS["cosine_fourth"].change(takes, 0.12))
+    data = measure(unit, tmp_path, vignetted)
     findings, overlay = searched(data, sensor, run)
     assert findings.verdict is Verdict.NAMED
     assert findings.named == ("vignetting",)

@@ -35,7 +35,7 @@ from dotsim_ros.effects.effect import Active, Effect, EffectParameter
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.images.model import Film
 from dotsim_ros.gap.images.tile_noise import TileNoise
-from dotsim_ros.gap.images.tiles import COLOURS, NAMES, SHARPNESS, TileMeter
+from dotsim_ros.gap.images.tiles import COLOURS, NAMES, SHARPNESS, TileMeter, TileReference
 from dotsim_ros.io.arrays import FloatArray
 
 OFFSET_LEVELS = 0.5
@@ -171,8 +171,9 @@ def signatures_of(
     optical = [effect for effect in effects if effect.image is not None]
     blocks: dict[str, list[list[FloatArray]]] = {effect.name: [] for effect in optical}
     for film in films:
+        references = meter.references(film.pixels)
         for effect in optical:
-            blocks[effect.name].append(_blocks(effect, film, meter))
+            blocks[effect.name].append(_blocks(effect, film, meter, references))
     return {
         effect.name: tuple(
             Signature(directions, shape, several)
@@ -184,7 +185,9 @@ def signatures_of(
     }
 
 
-def _blocks(effect: Effect, film: Film, meter: TileMeter) -> list[FloatArray]:
+def _blocks(
+    effect: Effect, film: Film, meter: TileMeter, references: Sequence[TileReference]
+) -> list[FloatArray]:
     """Return what each probe of an effect does to one trajectory, (F, T, 6, P) each."""
     probes = probes_of(effect)
     films = []
@@ -193,7 +196,7 @@ def _blocks(effect: Effect, film: Film, meter: TileMeter) -> list[FloatArray]:
         for d in directions:
             values = effect.checked({**none, **shape, d.name: d.none + d.step})
             films.append(film.with_effects([Active(effect, values)]))
-    found = iter(meter.differences(films, film.pixels))
+    found = iter(meter.differences(films, references))
     return [np.stack([next(found) for _ in directions], axis=-1) for directions, _ in probes]
 
 

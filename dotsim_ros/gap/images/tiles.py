@@ -107,7 +107,7 @@ def tile_grid(lit: BoolArray, *, columns: int = 8, rows: int = 6) -> TileGrid:
 
 
 @dataclass(frozen=True)
-class _Reference:
+class TileReference:
     """What comparing with one reference takes that the image does not enter.
 
     Attributes:
@@ -151,16 +151,15 @@ class TileMeter:
         self, images: NDArray[np.generic], references: NDArray[np.generic]
     ) -> FloatArray:
         """Return (F, T, 6) the observables `NAMES` of images against references, (F, H, W, 3)."""
-        return self.differences([images], references)[0]
+        return self.differences([images], self.references(references))[0]
 
     def differences(
-        self, several: Sequence[NDArray[np.generic]], references: NDArray[np.generic]
+        self, several: Sequence[NDArray[np.generic]], references: Sequence[TileReference]
     ) -> list[FloatArray]:
-        """Return `difference` of several films against one, in less time than one by one."""
+        """Return `difference` of several films, (F, H, W, 3) each, against F references."""
         rest = self._detail(_smooth_grey(self.idle))
         results = [np.empty((len(references), len(self.grid), len(NAMES))) for _ in several]
-        for frame, image in enumerate(references):
-            reference = self._reference(image)
+        for frame, reference in enumerate(references):
             for images, result in zip(several, results, strict=True):
                 grey = _smooth_grey(images[frame])
                 products = reference.terms * (grey - reference.grey)[..., None]
@@ -170,7 +169,11 @@ class TileMeter:
                 result[frame, :, SHIFTS] = motion
         return results
 
-    def _reference(self, image: NDArray[np.generic]) -> _Reference:
+    def references(self, images: NDArray[np.generic]) -> list[TileReference]:
+        """Return what comparing with images (F, H, W, 3) takes, to be used several times."""
+        return [self._reference(image) for image in images]
+
+    def _reference(self, image: NDArray[np.generic]) -> TileReference:
         grey = _smooth_grey(image)
         slope_y, slope_x = np.gradient(grey)
         # What moves by d looks at x - d: the difference is -d . gradient.
@@ -178,7 +181,7 @@ class TileMeter:
         normal = self.grid.mean(terms[..., :, None] * terms[..., None, :])
         # A tile without texture does not identify a motion: none is found there.
         inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-9), dtype=np.float64)
-        return _Reference(self.grid.mean(image), grey, self._detail(grey), terms, inverse[:, :2])
+        return TileReference(self.grid.mean(image), grey, self._detail(grey), terms, inverse[:, :2])
 
     def _detail(self, smooth_grey: FloatArray) -> FloatArray:
         """Return (T,) the deviation of the Laplacian of a smoothed grey image (H, W)."""
