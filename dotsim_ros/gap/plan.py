@@ -62,10 +62,7 @@ def plan(request: GapRequest) -> dict[str, Any]:
     library = request.library()
     values = values_of(request.sensor)
     with open_solver(
-        request.sensor,
-        skin,
-        request.directory / "solves",
-        workers=request.workers,
+        request.sensor, skin, request.directory / "solves", workers=request.workers
     ) as solver:
         # What will be measured: forces set the discrepancy, and how far an arm gives way.
         expected = solver.run([EffectRequest(r, values) for r in recordings])

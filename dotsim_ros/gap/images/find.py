@@ -119,10 +119,7 @@ def case_of(
     sensor, library = request.sensor, request.library()
     active = () if overlay is None else active_effects(overlay, library)
     with open_solver(
-        sensor,
-        skin_of(sensor.gel),
-        request.directory / "solves",
-        workers=request.workers,
+        sensor, skin_of(sensor.gel), request.directory / "solves", workers=request.workers
     ) as solver:
         answers, failures = solver.run_each(
             [

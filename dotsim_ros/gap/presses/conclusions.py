@@ -47,10 +47,11 @@ def findings_of(
     search: Search,
     measurement: Measurement,
     reference: Measurement | None,
-    *,
     answer: SearchAnswer,
     silent: Sequence[str],
 ) -> tuple[Findings, Overlay | None]:
+    """Return what was found, and the overlay if an effect was named; the effects of the names in
+    `silent` are those that the data do not excite."""
     case, request = search.case, search.request
     measured = [k for k, t in enumerate(case.trajectories) if not t.is_reference]
     judged = search.held_out or measured

@@ -76,10 +76,7 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         warnings.append("no frame is without contact: the declared noise is used")
     random = np.random.default_rng(request.seed)
     with open_solver(
-        request.sensor,
-        measurement.skin,
-        request.directory / "solves",
-        workers=request.workers,
+        request.sensor, measurement.skin, request.directory / "solves", workers=request.workers
     ) as solver:
         first, last = _plan(request, measurement, reference, solver, progress)
         nuisances = centred(ABSOLUTE if reference is None else DIFFERENTIAL, discrepancy.bias)
@@ -106,7 +103,15 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         search = Search(
             request, case, chosen, held_out, noise, discrepancy, random, progress, warnings
         )
-        findings, overlay = _run(search, measurement, reference, last)
+        variants, silent = simulate_effects(search, last)
+        ranked = screen(search, variants)
+        gains, pattern_gains = null_gains(search, ranked, decision.NULL_DRAWS)
+        answer = answer_of(search, ranked, gains, pattern_gains)
+        named = answer.decision.named
+        for entry in named:
+            others = [other for other in named if other is not entry]
+            entry.estimates = estimates_of(search, entry, others)
+        findings, overlay = findings_of(search, measurement, reference, answer, silent)
     if scale is not None and is_wrong(scale):
         findings, overlay = with_scale(findings, overlay, scale, library[EFFECT])
     seconds = time.monotonic() - begun_s
@@ -190,23 +195,6 @@ def _hold_out(case: Case, random: np.random.Generator) -> tuple[list[int], list[
     places = one_of_each([protocol_of(case.trajectories[n].recording) for n in measured], random)
     held_out = [measured[place] for place in places]
     return [n for n in range(len(case.trajectories)) if n not in held_out], held_out
-
-
-def _run(
-    search: Search,
-    measurement: Measurement,
-    reference: Measurement | None,
-    solving: SolvesDone,
-) -> tuple[Findings, Overlay | None]:
-    variants, silent = simulate_effects(search, solving)
-    ranked = screen(search, variants)
-    gains, pattern_gains = null_gains(search, ranked, decision.NULL_DRAWS)
-    answer = answer_of(search, ranked, gains, pattern_gains)
-    named = answer.decision.named
-    for entry in named:
-        others = [other for other in named if other is not entry]
-        entry.estimates = estimates_of(search, entry, others)
-    return findings_of(search, measurement, reference, answer=answer, silent=silent)
 
 
 def simulate_effects(search: Search, progress: SolvesDone) -> tuple[list[Variant], list[str]]:
