@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from dotsim_ros.gap.presses.search import two_steps
+from dotsim_ros.gap.presses.search import progress_of_two_steps
 from dotsim_ros.io import progress
 from dotsim_ros.io.progress import PrintedProgress
 
@@ -52,7 +52,7 @@ def test_the_time_left_follows_the_rate_since_the_first_is_told(
 
 def test_solves_count_over_the_steps_that_are_planned() -> None:
     told: list[tuple[str, int, int]] = []
-    first, last = two_steps(lambda *one: told.append(one), later=60)
+    first, last = progress_of_two_steps(lambda *one: told.append(one), later=60)
     for done in (0, 20, 40):
         first(done, 40)
     # Some of what was planned is known already.

@@ -70,16 +70,11 @@ def no_gap_sentence(search: Search, gaps: Sequence[ChannelGap]) -> str:
         effect = SHOWN_BY.get(names[k])
         shown = "" if effect is None else f" ({wording.amid(case.library[effect].title)})"
         constants.append(" with ".join(texts) + shown)
-    shown_by = [names[k] for _, k, _ in enough or alone[:2]]
-    return wording.made_up(
-        off,
-        constants,
-        [
-            f"{name}: {case.library[SHOWN_BY[name]].protocol}"
-            for name in shown_by
-            if name in SHOWN_BY
-        ],
-    )
+    nearest = [names[k] for _, k, _ in enough or alone[:2]]
+    protocols = [
+        f"{name}: {case.library[SHOWN_BY[name]].protocol}" for name in nearest if name in SHOWN_BY
+    ]
+    return wording.made_up(off, constants, protocols)
 
 
 def _value(values: GelValues, nuisance: PressNuisance, deviations: float) -> str:

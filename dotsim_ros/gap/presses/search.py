@@ -169,10 +169,10 @@ def _plan(
     later = [one for one in screening if one.recording.name in names]
     # What both need is solved in the first step.
     whole = solver.work_of([*calibration, *later])
-    return two_steps(progress, later=whole - solver.work_of(calibration))
+    return progress_of_two_steps(progress, later=whole - solver.work_of(calibration))
 
 
-def two_steps(progress: Progress, later: int) -> tuple[SolvesDone, SolvesDone]:
+def progress_of_two_steps(progress: Progress, later: int) -> tuple[SolvesDone, SolvesDone]:
     """Return what reports the solves of the first step, and of a last one that is so much work, in
     presses' work of the last."""
     costs = FIRST_COSTS if later else 1.0

@@ -178,7 +178,7 @@ def heatmap(table: PlaceTable, values: FloatArray, *, name: str, title: str) -> 
         return image_of(figure, name=name, alt=alt)
 
 
-def image_gap_images(own: OpticalFindings | None) -> list[ReportImage]:
+def tile_images(own: OpticalFindings | None) -> list[ReportImage]:
     """Return the gap of the images, as a whole and by tile; none where they were not searched."""
     if own is None or own.verdict is Verdict.UNUSABLE:
         return []

@@ -17,12 +17,12 @@ from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, Findings, OpticalFindings, Verdict
 from dotsim_ros.gap.report.figures import (
     gap_bars,
-    image_gap_images,
     place_images,
     quantity,
     ranking,
     shown,
     shown_unit,
+    tile_images,
     worst_frame,
 )
 from dotsim_ros.io.page import template_files
@@ -59,7 +59,7 @@ def report_files(
     gel = _without_images(findings)
     label, colour = LABELS[findings.verdict]
     galleries = {
-        "images": image_gap_images(own),
+        "images": tile_images(own),
         "gaps": [gap_bars(gap, with_after=bool(gel.named)) for gap in gel.gaps],
         "places": place_images(gel),
         "worst": [] if gel.worst is None else worst_frame(gel.worst, with_after=bool(gel.named)),
