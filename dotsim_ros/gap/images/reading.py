@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -100,6 +101,8 @@ def read_images(
     mean_idle_image(idle_images, paths)
     entries = [entry for entry in data_set.entries if entry.has_images]
     most = _most_frames([entry.frame_count for entry in entries])
+    # Each mesh is read, and found to be closed, once.
+    indenter_of = cache(lambda name: find_indenter(data_set, name, indenters))
     warnings: list[str] = []
     found: dict[str, ImageTrajectory] = {}
     spans_s: dict[str, Span] = {}
@@ -107,7 +110,7 @@ def read_images(
     for entry in entries:
         try:
             one = read_press_images(entry, idle=idle_images[0], most=most)
-            indenter = find_indenter(data_set, entry.indenter, indenters)
+            indenter = indenter_of(entry.indenter)
             spans_s[entry.name] = one.span_s
             recording = recording_of(seen_from(one.press, base_m), indenter, skin, one.delay_s)
             found[entry.name] = ImageTrajectory(recording, one.pixels)
