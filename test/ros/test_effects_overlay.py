@@ -18,7 +18,7 @@ from harness import (
 )
 
 import msg_adapters
-from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, write_overlay
+from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, overlay_text
 
 # What effects change does not depend on the grid; a coarse one is made in a tenth of the time.
 PARAMETERS = {"clock": "lockstep", "diagnostics_period_s": 0.1, "grid_spacing_m": 0.0048}
@@ -30,7 +30,7 @@ def overlay_at(path: Path, effects: Mapping[str, Mapping[str, float]]) -> Path:
         FoundEffect(name, tuple(Estimate(p, "", v, v, v) for p, v in values.items()))
         for name, values in effects.items()
     )
-    write_overlay(path, Overlay("densetact2", "0123456789abcdef", found))
+    path.write_text(overlay_text(Overlay("densetact2", "0123456789abcdef", found)))
     return path
 
 
