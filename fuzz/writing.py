@@ -17,9 +17,9 @@ import numpy as np
 from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.data_set_writer import DataSetWriter
 from dotsim_ros.data.trajectory import PoseChannel, Trajectory
-from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, read_overlay, write_overlay
+from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, overlay_text, read_overlay
 from dotsim_ros.geometry.indenter import sphere
-from dotsim_ros.io.files import write_image, write_json
+from dotsim_ros.io.files import write_image, write_json, write_text
 from dotsim_ros.io.replacement import replace_files
 from dotsim_ros.specification import load_sensor, write_sensor
 from fuzz.target import Finding, Target
@@ -34,9 +34,8 @@ def _sensor(folder: Path, number: int) -> None:
 
 def _overlay(folder: Path, number: int) -> None:
     gain = Estimate("gain", "", 1.0 + 0.01 * number, 0.5, 1.5)
-    write_overlay(
-        folder / "overlay.yaml", Overlay("s", "h", (FoundEffect("force_scale", (gain,)),) * number)
-    )
+    overlay = Overlay("s", "h", (FoundEffect("force_scale", (gain,)),) * number)
+    write_text(folder / "overlay.yaml", overlay_text(overlay))
 
 
 def _image(folder: Path, number: int) -> None:

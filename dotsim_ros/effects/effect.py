@@ -19,12 +19,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from dotsim_ros.data.recording import Recording
-from dotsim_ros.gel.values import GelValues
+from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.printable import one_line
+from dotsim_ros.specification import SensorSpecification
 
 Values = Mapping[str, float]
 Returned = TypeVar("Returned")
@@ -258,6 +259,34 @@ def gel_with(effects: Sequence[Active], term: GelTerm, recording: Recording | No
             call = partial(active.effect.gel, term, active.values, recording)
             term = _called(active, "gel", GelTerm, call)
     return term
+
+
+def specification_with_effects(
+    specification: SensorSpecification, effects: Sequence[Active]
+) -> SensorSpecification:
+    """Return a sensor whose gel is what the effects make of it.
+
+    Raises:
+        ValueError: an effect acts on a gel that has another law than neo-Hooke's or Yeoh's, or
+            gives it a value that it cannot have, or makes a pad thicker or thinner.
+    """
+    if not any(active.effect.gel for active in effects):
+        return specification
+    own = specification.material
+    term = gel_with(
+        effects, GelTerm(values_of(specification), own.prony_shares, own.prony_times_s), None
+    )
+    changed = specification_with(specification, term.values)
+    if specification.gel.shape != "dome" and changed.gel != specification.gel:
+        raise ValueError(
+            "an effect changes the thickness of a pad; its base would come up and its face stay, "
+            "which a sensor whose base is at z = 0 cannot show: set gel.pad_size_m in the sensor's "
+            "file, whose face is then at another height"
+        )
+    material = replace(
+        changed.material, prony_shares=term.prony_shares, prony_times_s=term.prony_times_s
+    )
+    return replace(changed, material=material)
 
 
 def _filters(effects: Sequence[Active], hook: str) -> list[tuple[Active, Callable[..., Any]]]:

@@ -48,7 +48,7 @@ def load_effects(
 
     Args:
         folders: of files that each hold an `EFFECT`; one of a shipped effect's name replaces it.
-            Files whose names begin with an underscore are no effects.
+            Files whose names begin with an underscore are not effects.
         names: of the effects that are needed: no other file of the folders is run, and none of
             those is returned; None for all that the folders hold.
         announce: called with a line before code of the folders is run; None for the log.
@@ -148,7 +148,7 @@ def _check_source(path: Path, content: bytes) -> None:
     """Look at a file without running it.
 
     Raises:
-        ValueError: it is no program, or binds no EFFECT.
+        ValueError: it is not a program, or binds no EFFECT.
     """
     try:
         tree = ast.parse(importlib.util.decode_source(content), str(path))

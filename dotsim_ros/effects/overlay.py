@@ -19,7 +19,6 @@ import yaml
 from dotsim_ros import __version__
 from dotsim_ros.effects.effect import Active, Effect
 from dotsim_ros.io.documents import read_yaml, shortened, value_text
-from dotsim_ros.io.files import write_text
 
 VERSION = 1
 FILE_NAME = "effects_overlay.yaml"
@@ -53,17 +52,8 @@ class Overlay:
     written_by: str = __version__
 
 
-def write_overlay(path: Path, overlay: Overlay) -> None:
-    """Write an overlay, whole or not at all.
-
-    Raises:
-        ValueError: an estimate that `read_overlay` would refuse.
-    """
-    write_text(path, overlay_text(overlay, place=str(path)))
-
-
-def overlay_text(overlay: Overlay, *, place: str = FILE_NAME) -> str:
-    """Return an overlay as the text of its file; errors call it by its place.
+def overlay_text(overlay: Overlay) -> str:
+    """Return an overlay as the text of its file.
 
     Raises:
         ValueError: an estimate that `read_overlay` would refuse.
@@ -84,7 +74,7 @@ def overlay_text(overlay: Overlay, *, place: str = FILE_NAME) -> str:
             for effect in overlay.effects
         ],
     }
-    _overlay_of(record, place)
+    _overlay_of(record, FILE_NAME)
     return str(yaml.safe_dump(record, sort_keys=False))
 
 

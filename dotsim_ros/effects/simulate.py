@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +16,12 @@ import numpy as np
 from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import (
     Active,
-    Effect,
     GelTerm,
     Response,
     gel_with,
     motion_filters,
     response_filters,
 )
-from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.pose import Pose
@@ -36,39 +34,22 @@ from dotsim_ros.twin.solver import PressSolver, Progress, SolveRequest, open_pre
 
 @dataclass(frozen=True)
 class EffectRequest:
-    """A recording to simulate, with a gel, a shift (3,) of all poses in the base frame, and names
-    and values of the effects at work."""
+    """A recording to simulate, with a gel, a shift (3,) of all poses in the base frame, and the
+    effects at work."""
 
     recording: Recording
     values: GelValues
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    effects: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = ()
-
-
-def request_of(
-    recording: Recording,
-    values: GelValues,
-    *,
-    shift_m: Sequence[float] = (0.0, 0.0, 0.0),
-    effects: Sequence[Active] = (),
-) -> EffectRequest:
-    """Return the request of a recording with effects."""
-    x, y, z = map(float, shift_m)
-    named = tuple((a.effect.name, tuple(sorted(a.values.items()))) for a in effects)
-    return EffectRequest(recording, values, (x, y, z), named)
+    effects: Sequence[Active] = ()
 
 
 class EffectSolver:
     """Simulates requests; use `open_solver`."""
 
     def __init__(
-        self,
-        presses: PressSolver,
-        specification: SensorSpecification,
-        skin: SkinMesh,
-        library: Mapping[str, Effect],
+        self, presses: PressSolver, specification: SensorSpecification, skin: SkinMesh
     ) -> None:
-        self._presses, self._library = presses, library
+        self._presses = presses
         self._rest_m = skin.rest_position_m
         material = specification.material
         self._relaxation = PronySeries(material.prony_shares, material.prony_times_s)
@@ -109,7 +90,7 @@ class EffectSolver:
         self, requests: Sequence[EffectRequest], progress: Progress | None = None
     ) -> tuple[list[SimulatedPress | None], list[str]]:
         """Return as `run`, None for those that could not be solved, and why not."""
-        self._asked |= {self._solved_of(request) for request in requests}
+        self._asked |= {_solved_of(request) for request in requests}
         solved = self._presses.run_each([self._solve_request(r) for r in requests], progress)
         results: list[SimulatedPress | None] = []
         failures = []
@@ -121,18 +102,9 @@ class EffectSolver:
                 results.append(self._answered(request, found))
         return results, failures
 
-    def _active(self, request: EffectRequest) -> list[Active]:
-        return [Active(self._library[name], dict(values)) for name, values in request.effects]
-
-    def _solved_of(self, request: EffectRequest) -> tuple[Any, ...]:
-        """Return what requests of one solve have in common."""
-        effects = [one for one in request.effects if self._library[one[0]].needs_solve]
-        return request.recording.name, request.values, request.shift_m, *effects
-
     def _solve_request(self, request: EffectRequest) -> SolveRequest:
         """Return what is to be solved: the gel and the poses as the effects make them."""
-        recording, press = request.recording, request.recording.press
-        effects = self._active(request)
+        recording, press, effects = request.recording, request.recording.press, request.effects
         own = GelTerm(request.values, self._relaxation.shares, self._relaxation.times_s)
         term = gel_with(effects, own, recording)
         filtered = motion_filters(effects)
@@ -153,10 +125,9 @@ class EffectSolver:
 
     def _answered(self, request: EffectRequest, found: SimulatedPress) -> SimulatedPress:
         """Return what is measured of a solved gel."""
-        effects = self._active(request)
-        if not any(active.effect.response for active in effects):
+        if not any(active.effect.response for active in request.effects):
             return found
-        filtered = response_filters(effects)
+        filtered = response_filters(request.effects)
         recording = request.recording
         begun_s = float(recording.press.stamp_s[0])
         answers = [
@@ -187,17 +158,21 @@ class EffectSolver:
         )
 
 
+def _solved_of(request: EffectRequest) -> tuple[Any, ...]:
+    """Return what requests of one solve have in common."""
+    effects = [
+        (active.effect.name, tuple(sorted(active.values.items())))
+        for active in request.effects
+        if active.effect.needs_solve
+    ]
+    return request.recording.name, request.values, request.shift_m, *effects
+
+
 @contextmanager
 def open_solver(
-    specification: SensorSpecification,
-    skin: SkinMesh,
-    directory: Path,
-    *,
-    library: Mapping[str, Effect] | None = None,
-    workers: Crew = 2,
+    specification: SensorSpecification, skin: SkinMesh, directory: Path, *, workers: Crew
 ) -> Iterator[EffectSolver]:
-    """Open a pool of workers that each hold the sensor's gel and keep their solves in a directory;
-    the library None is that of the shipped effects."""
+    """Open a pool of workers that each hold the sensor's gel and keep their solves in a
+    directory."""
     with open_press_solver(specification, skin, directory, workers=workers) as presses:
-        known = load_effects() if library is None else library
-        yield EffectSolver(presses, specification, skin, known)
+        yield EffectSolver(presses, specification, skin)

@@ -19,7 +19,6 @@ from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.gap.findings import Findings, OpticalFindings, Verdict
 from dotsim_ros.gap.images.find import find_optical, fit_noise_of_images, unusable_images
 from dotsim_ros.gap.images.null import OpticalNull, load_optical_null, save_optical_null
-from dotsim_ros.gap.images.reading import holds_images
 from dotsim_ros.gap.presses.covariance import load_discrepancy
 from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import CHANNELS, MECHANICAL, GapRequest, Progress
@@ -36,9 +35,10 @@ from dotsim_ros.twin.simulator import check_is_quasi_static
 def channels_of(measured: Path | DataSet) -> tuple[str, ...]:
     """Return the channels that are used where none were asked for: skin and force, unless all that
     the bags of a data set hold is images, and the images where idle ones lie next to them."""
-    if not all(holds_images(measured)):
+    data_set = read_data_set(measured)
+    if not (data_set.idle_images() and any(entry.has_images for entry in data_set.entries)):
         return MECHANICAL
-    return CHANNELS if holds_skin_or_force(measured) else (IMAGE,)
+    return CHANNELS if holds_skin_or_force(data_set) else (IMAGE,)
 
 
 @single_threaded()

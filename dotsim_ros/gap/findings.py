@@ -3,7 +3,7 @@
 
 """What a search for a gap found: the currency between the search and its report, all plain numbers.
 
-`as_record` and `findings_of` carry it to JSON and back.
+`as_record` and `findings_of` turn it into what JSON holds, and back.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.overlay import Estimate
 
 VERSION = 1
+ALL = "all"
+"""The trajectory of a place whose residuals are those of all."""
 
 
 class Verdict(Enum):
@@ -71,7 +73,7 @@ class ResidualPlace:
     """Residuals in one place: RMS in units of their expected deviation.
 
     Attributes:
-        channel, trajectory, phase, region: of the place; "all" sums over one of them.
+        channel, trajectory, phase, region: of the place; the trajectory `ALL` sums over them.
         before, after: RMS with the calibrated twin, and with the named effects.
         low, high: interval of 95 % of `before`, by a bootstrap over trajectories; 0 where there is
             one trajectory alone.
@@ -238,7 +240,7 @@ class Findings:
         share_closed, share_closed_low, share_closed_high: of the gap, with its interval; None if
             nothing was added.
         fallback: of an unknown effect, the gaps of the held-out trajectories with a smooth
-            correction that is no physics in place of effects; empty otherwise.
+            correction that is not physics in place of effects; empty otherwise.
         stability: share of bootstrap repetitions that gave the same name, or one of the set; of
             what too few of them gave to be named, too; None where nothing came so near.
         pairs: effects that cannot be distinguished.

@@ -15,12 +15,12 @@ import numpy as np
 from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.measurement import protocol_of, read_poses
 from dotsim_ros.effects.effect import FORCE
-from dotsim_ros.effects.simulate import open_solver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, open_solver
 from dotsim_ros.gap.decision import ALIKE, APART
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, centred
 from dotsim_ros.gap.presses.certainty import pairs_of
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy
-from dotsim_ros.gap.presses.evidence import Case, make_trajectories
+from dotsim_ros.gap.presses.evidence import make_case
 from dotsim_ros.gap.presses.inference import cosines, lengths
 from dotsim_ros.gap.presses.screening import excited_variants
 from dotsim_ros.gap.presses.search_state import GapRequest
@@ -62,14 +62,10 @@ def plan(request: GapRequest) -> dict[str, Any]:
     library = request.library()
     values = values_of(request.sensor)
     with open_solver(
-        request.sensor,
-        skin,
-        request.directory / "solves",
-        library=library,
-        workers=request.workers,
+        request.sensor, skin, request.directory / "solves", workers=request.workers
     ) as solver:
         # What will be measured: forces set the discrepancy, and how far an arm gives way.
-        expected = solver.run([request_of(r, values) for r in recordings])
+        expected = solver.run([EffectRequest(r, values) for r in recordings])
         recordings = tuple(
             replace(
                 r,
@@ -79,7 +75,7 @@ def plan(request: GapRequest) -> dict[str, Any]:
         )
         discrepancy = load_discrepancy(request.discrepancy)
         nuisances = centred(ABSOLUTE, discrepancy.bias)
-        trajectories, left_out = make_trajectories(
+        case, left_out = make_case(
             recordings,
             (),
             values=values,
@@ -91,13 +87,12 @@ def plan(request: GapRequest) -> dict[str, Any]:
             discrepancy=discrepancy,
             channels=request.channels,
         )
-        case = Case(trajectories, nuisances, library, solver, values, skin.rest_position_m)
         variants, silent = excited_variants(case)
         first = {v.effect.name: v for v in reversed(variants)}
         variants = [v for v in variants if first[v.effect.name] is v]
         probes = [v.effect.parameters[0].probes[0] for v in variants]
         failures = case.extend(list(zip(variants, probes, strict=True)))
-    chosen = range(len(trajectories))
+    chosen = range(len(case.trajectories))
     evidence = case.evidence(chosen)
     names = [v.effect.name for v in variants]
     columns = [
@@ -114,11 +109,12 @@ def plan(request: GapRequest) -> dict[str, Any]:
         # A weight alone gives it, to its own tolerance.
         smallest[FORCE_SCALE] = APART * min(one.tolerance for one in data_set.weights)
     pairs = pairs_of(
-        evidence, [v.effect for v in variants], matrix, [t.recording for t in trajectories]
+        evidence, [v.effect for v in variants], matrix, [t.recording for t in case.trajectories]
     )
     return {
         "protocols": {
-            protocol_of(t.recording): float(np.ptp(t.recording.press.stamp_s)) for t in trajectories
+            protocol_of(t.recording): float(np.ptp(t.recording.press.stamp_s))
+            for t in case.trajectories
         },
         "effects": {
             name: {

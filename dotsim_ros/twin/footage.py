@@ -10,7 +10,7 @@ of the time, so the skins are kept on disk, under a key of everything that they 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -40,8 +40,6 @@ from dotsim_ros.twin.follow import SimulatedPress, SolveError, follow
 from dotsim_ros.twin.simulator import base_in_data_m, seen_from
 
 Progress = Callable[[str], None]
-UntouchedCheck = Callable[[ImageArray, Iterable[tuple[str, ImageArray]]], None]
-"""Raises ValueError where named frames without contact differ from the idle image (H, W, 3)."""
 
 LEAST_FRAMES = 10
 """Frames with images below which nothing can be learned or judged."""
@@ -148,7 +146,6 @@ def read_filmed_data(
     cache: Path | None = None,
     progress: Progress = lambda _line: None,
     topics: Topics = MEASURED_TOPICS,
-    check: UntouchedCheck = check_untouched,
 ) -> FilmedData:
     """Read the images of presses, and let the sensor's gel follow their poses.
 
@@ -159,8 +156,6 @@ def read_filmed_data(
         cache: folder of the skins that were computed before; None for the user's cache.
         progress: called with a line that says what is being done.
         topics: where pose and image lie in the bags.
-        check: refuses frames that do not belong to the idle image; a search for what changed
-            between them needs one that refuses less.
 
     Raises:
         FileNotFoundError: no data set, bag or indenter there.
@@ -186,7 +181,7 @@ def read_filmed_data(
         )
     skin = skin_of(sensor.gel)
     indenters = {entry.indenter: find_indenter(data_set, entry.indenter) for entry in entries}
-    check(
+    check_untouched(
         idle,
         [
             (f"{press.name}, frame {frame}", pixels[frame])

@@ -3,7 +3,7 @@
 
 """The gel of given parameters at the poses of a press: the model that is fitted.
 
-Young's modulus is no argument of a solve: in a quasi-static press by a rigid indenter, with a
+Young's modulus is not an argument of a solve: in a quasi-static press by a rigid indenter, with a
 contact as stiff as the gel, the skin does not depend on it and the force is proportional to it.
 """
 

@@ -74,18 +74,7 @@ def sample_surface(
 
 
 def cloud_distances(first_m: FloatArray, second_m: FloatArray) -> CloudDistances:
-    """Return the distances between two clouds (N, 3) of as many points, symmetric in them.
-
-    Raises:
-        ValueError: clouds of other shapes or of numbers that are not finite.
-    """
-    for cloud in (first_m, second_m):
-        if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) == 0:
-            raise ValueError(f"a cloud has shape {cloud.shape}, expected (N, 3)")
-        if not np.all(np.isfinite(cloud)):
-            raise ValueError("a cloud holds a number that is not finite")
-    if len(first_m) != len(second_m):
-        raise ValueError(f"clouds of {len(first_m)} and {len(second_m)} points; expected as many")
+    """Return the distances between two clouds (N, 3) of as many points, symmetric in them."""
     forward = KDTree(second_m).query(first_m)[0]
     backward = KDTree(first_m).query(second_m)[0]
     return CloudDistances(

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.data.recording import Recording
-from dotsim_ros.effects.simulate import open_solver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, open_solver
 from dotsim_ros.gap.decision import MARGIN
 from dotsim_ros.gap.presses.answer import null_gains, pattern_gain, screen
 from dotsim_ros.gap.presses.assumptions import BIASED, DIFFERENTIAL
@@ -144,7 +144,7 @@ def _residuals(source: Source, recordings: Sequence[Recording]) -> dict[str, Flo
     skin, values = source.measurement.skin, values_of(source.sensor)
     with open_solver(source.sensor, skin, source.run, workers=source.workers) as solver:
         answers = solver.run(
-            [request_of(recording, values) for recording in recordings],
+            [EffectRequest(recording, values) for recording in recordings],
             lambda done, total: source.progress("discrepancy", done, total),
         )
     found = {}
@@ -177,7 +177,7 @@ def _with_bias(source: Source, names: Sequence[str], discrepancy: Discrepancy) -
         columns = case.columns()
     bias = {
         nuisance.name: float(f"{deviations * nuisance.deviation:.3g}")
-        for (nuisance, _), deviations in zip(columns, moved, strict=True)
+        for (nuisance, *_), deviations in zip(columns, moved, strict=True)
         if nuisance.name in BIASED
     }
     return replace(discrepancy, bias=bias)

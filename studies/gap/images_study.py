@@ -25,7 +25,7 @@ from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.images.case import IDLE, OpticalCase
-from dotsim_ros.gap.images.find import case_of
+from dotsim_ros.gap.images.find import case_of, images_of
 from dotsim_ros.gap.images.fit import ImageSearch
 from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, save_optical_null
 from dotsim_ros.gap.images.search import Signature, signatures_of
@@ -169,7 +169,7 @@ def gap_images(
     card = read_network(given_path(twin.camera.residual))
     effects = [effect for effect in load_effects().values() if effect.image is not None]
     request = GapRequest(data, twin, run, workers=1)
-    study = Study(case_of(request, PrintedProgress()), effects)
+    study = Study(case_of(request, *images_of(request), PrintedProgress()), effects)
     there = {shot.name for shot in study.case.shots}
     fitted = [name for name in card.data["train"] if name in there]
     others = [name for name in card.data["held_out"] if name in there]

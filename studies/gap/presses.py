@@ -20,7 +20,7 @@ from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.simulate import open_solver
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, DIFFERENTIAL, PressNuisance, centred
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy
-from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
+from dotsim_ros.gap.presses.evidence import Case, Variant, make_case
 from dotsim_ros.gap.presses.search import simulate_effects
 from dotsim_ros.gap.presses.search_state import GapRequest, Search
 from dotsim_ros.gel.make import skin_of
@@ -140,7 +140,7 @@ def open_case(
     recordings = [by_name[name] for name in names]
     library, values = load_effects(), values_of(sensor)
     with open_solver(sensor, measurement.skin, source.run, workers=source.workers) as solver:
-        trajectories, left_out = make_trajectories(
+        case, left_out = make_case(
             recordings,
             recordings if is_own_reference else (),
             values=values,
@@ -153,8 +153,6 @@ def open_case(
             channels=("skin", "force"),
             progress=lambda done, total: source.progress("calibrate", done, total),
         )
-        rest_m = measurement.skin.rest_position_m
-        case = Case(trajectories, nuisances, library, solver, values, rest_m)
         yield case, left_out, measurement.skin
 
 

@@ -42,44 +42,35 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("run")
 
 
-def searched(
-    tmp_path: Path,
-    run: Path,
-    *effects: tuple[str, float],
-    candidates: tuple[str, ...] = CANDIDATES,
-    weight: float | None = None,
-) -> tuple[Findings, Overlay | None]:
-    """Measure a unit with hidden effects, and search it.
+# A refined gel needs tables for each skin and Poisson's ratio: minutes.
+SENSOR = load_sensor("sensor_a")
+SENSOR = replace(SENSOR, solver=replace(SENSOR.solver, refined=False, grid_spacing_m=COARSE_M))
 
-    Args:
-        tmp_path: of the data set.
-        run: of the solves.
-        effects: hidden ones with their sizes.
-        candidates: effects to look for.
-        weight: scale at which its gauge reads a known weight; None without one.
-    """
-    sensor = load_sensor("sensor_a")
-    # A refined gel needs tables for each skin and Poisson's ratio: minutes.
-    sensor = replace(sensor, solver=replace(sensor.solver, refined=False, grid_spacing_m=COARSE_M))
-    data = tmp_path / "measured"
-    skin = dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M)
-    measure_unit(data, sensor, skin, Truth(effects), seed=SEED, only=PROTOCOLS)
+
+def measured(folder: Path, *effects: tuple[str, float]) -> Path:
+    """Measure a unit with hidden effects and their sizes; return its data set."""
+    data = folder / "measured"
+    skin = dome_skin(SENSOR.gel.outer_radius_m, SKIN_SPACING_M)
+    measure_unit(data, SENSOR, skin, Truth(effects), seed=SEED, only=PROTOCOLS)
     (data / "truth.json").write_text("{}", encoding="utf-8")
-    if weight is not None:
-        weigh(data, weight)
+    return data
+
+
+def searched(
+    data: Path, run: Path, candidates: tuple[str, ...] = CANDIDATES
+) -> tuple[Findings, Overlay | None]:
+    """Search a data set for some effects, with solves in the folder of a run."""
     told: list[tuple[str, int, int]] = []
-    found = search_presses(
-        GapRequest(
-            measured=data,
-            sensor=sensor,
-            directory=run,
-            indenters=data / "indenters",
-            candidates=candidates,
-            seed=1,
-            workers=1,
-        ),
-        lambda *one: told.append(one),
+    request = GapRequest(
+        measured=data,
+        sensor=SENSOR,
+        directory=run,
+        indenters=data / "indenters",
+        candidates=candidates,
+        seed=1,
+        workers=1,
     )
+    found = search_presses(request, lambda *one: told.append(one))
     assert "nulls" in {step for step, _, _ in told}
     solves = [(done, total) for step, done, total in told if step == "solve"]
     # The time left is right from the first solve on only if all of them are foreseen.
@@ -104,16 +95,13 @@ def weigh(data: Path, scale: float) -> None:
 def test_a_force_scale_of_four_fifths_is_named_by_a_known_weight_alone(
     tmp_path: Path, run: Path
 ) -> None:
-    for folder in ("without", "weighed"):
-        (tmp_path / folder).mkdir()
-    hidden = ("scaled_force", -0.2)
+    data = measured(tmp_path, ("scaled_force", -0.2))
     # The stiffness may be as wrong.
-    without, overlay = searched(tmp_path / "without", run, hidden, candidates=WEIGHABLE)
+    without, overlay = searched(data, run, WEIGHABLE)
     assert "force_scale" not in without.named
     assert overlay is None
-    findings, overlay = searched(
-        tmp_path / "weighed", run, hidden, candidates=WEIGHABLE, weight=0.8
-    )
+    weigh(data, 0.8)
+    findings, overlay = searched(data, run, WEIGHABLE)
     assert findings.verdict is Verdict.NAMED
     assert findings.named == ("force_scale",)
     assert "by the known weight (weight_0): scale = 0.8" in findings.sentence
@@ -124,8 +112,10 @@ def test_a_force_scale_of_four_fifths_is_named_by_a_known_weight_alone(
 
 
 def test_a_unit_with_nothing_wrong_has_no_gap(tmp_path: Path, run: Path) -> None:
+    data = measured(tmp_path)
     # A gauge that reads the weight as it is leaves the forces alone.
-    findings, overlay = searched(tmp_path, run, candidates=WEIGHABLE, weight=1.0)
+    weigh(data, 1.0)
+    findings, overlay = searched(data, run, WEIGHABLE)
     assert findings.verdict is Verdict.NO_GAP
     assert overlay is None
     assert findings.sentence.startswith("No gap")
@@ -134,7 +124,7 @@ def test_a_unit_with_nothing_wrong_has_no_gap(tmp_path: Path, run: Path) -> None
 
 
 def test_a_gel_that_softens_is_named_and_closes_the_gap(tmp_path: Path, run: Path) -> None:
-    findings, overlay = searched(tmp_path, run, ("softened", 0.34))
+    findings, overlay = searched(measured(tmp_path, ("softened", 0.34)), run)
     assert LAWS["softened"].library == "mullins_softening"
     assert findings.named == ("mullins_softening",)
     assert findings.verdict is Verdict.NAMED
@@ -149,7 +139,7 @@ def test_a_gel_that_softens_is_named_and_closes_the_gap(tmp_path: Path, run: Pat
 
 
 def test_crosstalk_that_no_effect_imitates_is_unknown(tmp_path: Path, run: Path) -> None:
-    findings, overlay = searched(tmp_path, run, ("crosstalk", 0.5))
+    findings, overlay = searched(measured(tmp_path, ("crosstalk", 0.5)), run)
     assert findings.verdict is Verdict.UNKNOWN
     assert overlay is None
     assert findings.named == ()

@@ -24,7 +24,7 @@ import yaml
 from dotsim_ros.data.trajectory import ImageChannel, read_trajectory, write_trajectory
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay, active_effects
-from dotsim_ros.effects.simulate import open_solver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, open_solver
 from dotsim_ros.gap.find import find_gap_with_images
 from dotsim_ros.gap.findings import Findings, Verdict
 from dotsim_ros.gap.images import find as optical_find
@@ -93,7 +93,7 @@ def unit(sensor: SensorSpecification, run: Path, tmp_path_factory: pytest.TempPa
     blank = _with_images(data, lambda name, count: np.stack([dark + n for n in range(count)]))
     recordings = [one.recording for one in blank.trajectories]
     with open_solver(sensor, skin_of(sensor.gel), run / "solves", workers=1) as solver:
-        answers = solver.run([request_of(r, values_of(sensor)) for r in recordings])
+        answers = solver.run([EffectRequest(r, values_of(sensor)) for r in recordings])
     films = {
         r.name: model.film(answer.skin_position_m, r.press.stamp_s, r.session_s)
         for r, answer in zip(recordings, answers, strict=True)
@@ -204,7 +204,7 @@ def vignetted(takes: Takes) -> np.ndarray:
 def test_a_camera_that_changed_is_in_the_overlay(
     tmp_path: Path, unit: Unit, run: Path, sensor: SensorSpecification
 ) -> None:
-    data = measure(unit, tmp_path, lambda takes: LAWS["cosine_fourth"].change(takes, 0.12))
+    data = measure(unit, tmp_path, vignetted)
     findings, overlay = searched(data, sensor, run)
     assert findings.verdict is Verdict.NAMED
     assert findings.named == ("vignetting",)

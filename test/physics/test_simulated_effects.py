@@ -13,7 +13,7 @@ import numpy as np
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.recording import Recording, phases_of
 from dotsim_ros.effects.effect import FORCE, Active, Effect, EffectParameter, GelTerm
-from dotsim_ros.effects.simulate import open_solver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, open_solver
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import load_indenter
@@ -50,9 +50,9 @@ def test_an_effect_that_stiffens_the_gel_raises_its_force_alike_and_needs_no_sol
     press = Press("press", "sphere_4mm", poses, stamp_s, force_n=np.zeros((2, 3)))
     ball = load_indenter("sphere_4mm")
     recording = Recording(press, ball, 0.0, depth_m, phases_of(poses, stamp_s, depth_m))
-    with open_solver(COARSE, skin, tmp_path, library={"cure": CURE}, workers=1) as solver:
+    with open_solver(COARSE, skin, tmp_path, workers=1) as solver:
         requests = [
-            request_of(recording, values_of(COARSE), effects=effects)
+            EffectRequest(recording, values_of(COARSE), effects=effects)
             for effects in ([], [Active(CURE, {"ratio": 1.5})])
         ]
         without, cured = solver.run(requests)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from harness import Executable, refused_starts, with_parameters
 
-from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, write_overlay
+from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, overlay_text
 from dotsim_ros.nodes.tactile_sim.node import TactileSim
 
 REFUSED: dict[str, dict[str, object]] = {
@@ -50,7 +50,7 @@ def refusals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         path = folder / f"{number}.yaml"
         if found is not None:
             effect = FoundEffect(found[0], (found[1],))
-            write_overlay(path, Overlay("densetact2", "0123456789abcdef", (effect,)))
+            path.write_text(overlay_text(Overlay("densetact2", "0123456789abcdef", (effect,))))
         given[reason] = {"effects": path}
     given[MILLIMETRES] = {"sensor": folder / "millimetres.yaml"}
     (folder / "millimetres.yaml").write_text("gel: {outer_radius_m: 15.75}\n")

@@ -30,27 +30,17 @@ REGIONS = {"skin": ("apex", "contact", "rim", "far", "base"), "force": ("normal"
 def places() -> tuple[ResidualPlace, ...]:
     random = np.random.default_rng(1)
     found = []
-    for trajectory in TRAJECTORIES:
+    for trajectory in (*TRAJECTORIES, "all"):
         for phase in PHASES:
-            if phase == "slide" and not trajectory.startswith("slide"):
+            if phase == "slide" and not trajectory.startswith(("slide", "all")):
                 continue
             for channel, regions in REGIONS.items():
                 for region in regions:
                     strong = 9.0 if phase == "slide" and region in ("rim", "tangential") else 1.2
                     before = strong * random.uniform(0.8, 1.2)
-                    found.append(
-                        ResidualPlace(
-                            channel,
-                            trajectory,
-                            phase,
-                            region,
-                            before=before,
-                            after=min(before, random.uniform(0.8, 1.2)),
-                            low=0.8 * before,
-                            high=1.3 * before,
-                            count=40,
-                        )
-                    )
+                    after = min(before, random.uniform(0.8, 1.2))
+                    rms = (before, after, 0.8 * before, 1.3 * before)
+                    found.append(ResidualPlace(channel, trajectory, phase, region, *rms, count=40))
     return tuple(found)
 
 

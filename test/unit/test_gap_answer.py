@@ -33,7 +33,7 @@ from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
 from dotsim_ros.gap.presses.locate import Closed, Residuals, share_closed
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
 from dotsim_ros.gap.presses.search_state import GapRequest, Search
-from dotsim_ros.gap.report.wording import Facts, amid_all, sentence
+from dotsim_ros.gap.report import wording
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
 SHAPE = (FRAMES, SIZE)
@@ -139,13 +139,14 @@ class ShapedCase(Case):
 
     directions: dict[str, Direction]
 
-    def _simulate(self, wanted, progress=None):  # type: ignore[no-untyped-def]
-        found = []
+    def _fill(self, wanted, progress=None):  # type: ignore[no-untyped-def]
         for variant, size, numbers in wanted:
             full = shaped(self.directions[variant.effect.name], variant.shape["time"])
-            found.append([size * full[k] for k in numbers])
+            change = variant.change[variant.node.index(size)]
+            for number in numbers:
+                change[number] = size * full[number]
             self.solver.asked_count += len(numbers)
-        return found, []
+        return []
 
 
 @pytest.mark.parametrize(("budget", "most"), [(None, 6), (1, 1), (0, 0)])
@@ -197,8 +198,8 @@ def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
     assert answer.decision.named == ()
     sizes = sizes_by_channel(search, answer.ranked[0])
     assert sizes == pytest.approx((skin, force), abs=0.1)
-    facts = Facts(nearest=[EFFECT], sizes=sizes, place="the skin at the rim")
-    text = sentence(answer.decision.verdict, facts)
+    reason = wording.disagreeing(EFFECT.parameters[0], *sizes)
+    text = wording.unknown("the skin at the rim", [EFFECT], [reason])
     told, other = (f"{size:.2g} s" for size in sizes)
     assert f"late, but the skin gives size = {told} and the force {other}: they should" in text
 
@@ -228,8 +229,7 @@ def test_an_effect_is_not_named_where_the_data_ask_for_more_than_it_can_be(
     assert beyond == pytest.approx(size, abs=0.1)
     assert answer.decision.verdict is Verdict.UNKNOWN
     assert answer.decision.named == ()
-    facts = Facts(nearest=[effect], beyond=(parameter, beyond), place="the skin")
-    text = sentence(answer.decision.verdict, facts)
+    text = wording.unknown("the skin", [effect], [wording.asked("data", parameter, beyond)])
     assert "The nearest is: late, but the data ask for size = 1.3 s, and its plausible" in text
 
 
@@ -266,11 +266,10 @@ def test_the_share_that_is_closed_is_that_beyond_the_floor(random: np.random.Gen
     assert (closed.low, closed.high) == (None, None)
     # What the effects do not move says nothing of them.
     assert share_closed(residuals, [1], random) is None
-    facts = Facts(nearest=[EFFECT], left_open=0.28, place="the skin")
-    told = sentence(Verdict.UNKNOWN, facts)
+    told = wording.unknown("the skin", [EFFECT], [wording.left_open(1, 0.28)])
     assert "The nearest is: late, but it closes 28% of the held-out trajectories' gap." in told
-    facts = Facts(nearest=[EFFECT, replace(EFFECT, title="Slip")], left_open=0.28, place="the skin")
-    told = sentence(Verdict.UNKNOWN, facts)
+    both = [EFFECT, replace(EFFECT, title="Slip")]
+    told = wording.unknown("the skin", both, [wording.left_open(2, 0.28)])
     assert "The nearest is: late and slip, but together they close 28% of the held-out" in told
 
 
@@ -359,15 +358,14 @@ def test_what_too_few_repetitions_ask_for_is_told_as_undecided(
     assert answer.decision.stability is not None
     assert answer.decision.stability < decision.LIKELY
     assert (answer.decision.verdict, answer.decision.named) == (Verdict.UNKNOWN, ())
-    doubt = answer.decision.doubt
-    assert doubt is not None
-    assert [entry.effect.name for entry in doubt.effects] == ["late"]
-    facts = Facts(
-        doubted=amid_all([entry.effect for entry in doubt.effects], are_two=doubt.are_two),
+    doubted = answer.decision.doubted
+    assert [entry.effect.name for entry in doubted] == ["late"]
+    text = wording.not_decided(
+        [entry.effect for entry in doubted],
+        are_two=answer.decision.are_two,
         stability=answer.decision.stability,
         place="the rim",
     )
-    text = sentence(answer.decision.verdict, facts)
     assert text.startswith("Not decided")
     assert f"late. Only {answer.decision.stability:.0%} of bootstrap repetitions" in text
 

@@ -15,6 +15,7 @@ from dotsim_ros.gap.decision import (
     HEAVIER,
     MARGIN,
     PATTERNS_HEAVIER,
+    bootstrap_weights,
     limit_factor,
     pattern_factor,
     threshold_of,
@@ -33,7 +34,6 @@ from dotsim_ros.gap.presses.inference import (
     log_evidence,
 )
 from dotsim_ros.gap.presses.screening import Screen, best_trial
-from dotsim_ros.gap.resampling import bootstrap_weights
 
 TRAJECTORIES, EACH = 6, 80
 

@@ -24,6 +24,7 @@ from dotsim_ros.calibration.stages import Task, Workers
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import Observation
 from dotsim_ros.data.recording import Phase, Recording
+from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.simulate import EffectRequest, EffectSolver
 from dotsim_ros.gel.values import values_of
@@ -112,9 +113,9 @@ def solve(
 ) -> int:
     """Solve a press as the finder does; return how many solves that took."""
     before = pool.count
-    presses = PressSolver(pool, folder / "solves", sensor, skin)
-    solver = EffectSolver(presses, sensor, skin, load_effects(effects))
-    active = (("lift", (("x", 0.5),)),) if effects else ()
+    presses = PressSolver(pool, folder / "solves", sensor, skin)  # type: ignore[arg-type]
+    solver = EffectSolver(presses, sensor, skin)
+    active = [Active(load_effects(effects)["lift"], {"x": 0.5})] if effects else []
     recording = recording_of(sphere(0.004) if indenter is None else indenter)
     solver.run([EffectRequest(recording, values_of(sensor), effects=active)])
     return pool.count - before
@@ -194,8 +195,8 @@ SPOILT: dict[str, Callable[[Path], Any]] = {
 
 def test_presses_of_one_gel_are_one_task(tmp_path):
     pool = Pool(solved)
-    presses = PressSolver(pool, tmp_path, SENSOR, SKIN)
-    solver = EffectSolver(presses, SENSOR, SKIN, load_effects())
+    presses = PressSolver(pool, tmp_path, SENSOR, SKIN)  # type: ignore[arg-type]
+    solver = EffectSolver(presses, SENSOR, SKIN)
     recordings = [recording_of(sphere(radius)) for radius in np.linspace(3e-3, 5e-3, 12).tolist()]
     values = values_of(SENSOR)
     gels = (values, replace(values, friction=0.1), replace(values, poisson_ratio=0.4))

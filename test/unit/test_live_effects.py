@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dotsim_ros.effects.effect import Active
+from dotsim_ros.effects.effect import Active, specification_with_effects
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.effects.live import specification_with_effects, wrench_with_force
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.nodes.common.ingest import Fault
+from dotsim_ros.nodes.tactile_sim.live_effects import wrench_with_force
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
 from dotsim_ros.nodes.tactile_sim.session import SensorSession
 from dotsim_ros.sensor import TactileSensor

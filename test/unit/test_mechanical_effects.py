@@ -15,7 +15,14 @@ from dotsim_ros.data.presses import Press
 from dotsim_ros.data.recording import Recording, phases_of
 from dotsim_ros.effects.builtin.friction_and_contact import ClingingContact
 from dotsim_ros.effects.builtin.time import contact_radius_m
-from dotsim_ros.effects.effect import Active, Effect, GelTerm, Response, gel_with
+from dotsim_ros.effects.effect import (
+    Active,
+    GelTerm,
+    Response,
+    gel_with,
+    motion_filters,
+    response_filters,
+)
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
@@ -67,11 +74,6 @@ def response_of(
     )
 
 
-def none_of(effect: Effect) -> dict[str, float]:
-    """Return the values at which an effect is absent."""
-    return effect.checked({p.name: p.none for p in effect.parameters if p.none is not None})
-
-
 def response_filter(name: str, **values: float):
     """Return a fresh filter of an effect."""
     effect = LIBRARY[name]
@@ -105,50 +107,34 @@ def test_parameters_are_valid(name: str) -> None:
         assert p.none is None or p.low <= p.none <= p.high
 
 
-@pytest.mark.parametrize("name", MECHANICAL)
-def test_nothing_happens_at_none(name: str) -> None:
-    effect = LIBRARY[name]
-    values = none_of(effect)
-    if effect.gel is not None:
-        assert effect.gel(GelTerm(VALUES), values, RELEASED) == GelTerm(VALUES)
-    if effect.motion is not None:
-        moved = effect.motion(values)
-        for stamp_s, pose in zip(RELEASED.press.stamp_s, RELEASED.press.poses, strict=True):
-            acts = moved(float(stamp_s), pose, np.array([0.1, 0.0, 3.0]))
-            assert np.array_equal(acts.position_m, pose.position_m)
-            assert np.array_equal(acts.quaternion_xyzw, pose.quaternion_xyzw)
-    if effect.response is not None:
-        answered = effect.response(values)
-        for depth_m in (0.0, 1e-3, 2e-3, 1e-3, -1e-4):
-            given = response_of(
-                depth_m, 1e3 * max(0.0, depth_m), session_s=50.0, moved_m=max(0.0, depth_m)
-            )
-            given = replace(given, force_n=np.add(given.force_n, [0.1, -0.2, 0.0]))
-            answer = answered(given)
-            assert np.array_equal(answer.force_n, given.force_n)
-            assert np.array_equal(answer.skin_position_m, given.skin_position_m)
+def run_through(*effects: Active) -> np.ndarray:
+    """Return what fresh filters make of the frames of a press: pose, force and skin of each."""
+    moved, answered = motion_filters(effects), response_filters(effects)
+    frames = []
+    for stamp_s, pose, depth_m in zip(
+        RELEASED.press.stamp_s, RELEASED.press.poses, RELEASED.depth_m.tolist(), strict=True
+    ):
+        pressed_m = max(0.0, depth_m)
+        given = response_of(depth_m, 1e3 * pressed_m, session_s=50.0, moved_m=pressed_m)
+        given = replace(given, force_n=np.add(given.force_n, [0.1, -0.2, 0.0]))
+        acts, answer = moved(float(stamp_s), pose, np.array([0.1, 0.0, 3.0])), answered(given)
+        parts = (acts.position_m, acts.quaternion_xyzw, answer.force_n, answer.skin_position_m)
+        frames.append(np.concatenate([np.ravel(part) for part in parts]))
+    return np.stack(frames)
 
 
 @pytest.mark.parametrize("name", MECHANICAL)
-def test_filters_forget_from_one_trajectory_to_the_next(name: str) -> None:
+def test_an_effect_of_no_size_changes_nothing_and_none_remembers_the_trajectory_before(
+    name: str,
+) -> None:
     effect = LIBRARY[name]
-    values = effect.checked({})
-    trajectories = []
-    for _ in range(2):
-        rows = []
-        moved = None if effect.motion is None else effect.motion(values)
-        answered = None if effect.response is None else effect.response(values)
-        for stamp_s, pose, depth in zip(
-            RELEASED.press.stamp_s, RELEASED.press.poses, RELEASED.depth_m, strict=True
-        ):
-            if moved is not None:
-                rows.append(moved(float(stamp_s), pose, np.array([0.0, 0.0, 2.0])).position_m)
-            if answered is not None:
-                pressed = max(0.0, float(depth))
-                answer = answered(response_of(float(depth), 1e3 * pressed, moved_m=pressed))
-                rows.extend([answer.force_n, answer.skin_position_m[0]])
-        trajectories.append(np.array(rows))
-    assert np.array_equal(*trajectories)
+    nothing = {p.name: p.none for p in effect.parameters if p.none is not None}
+    absent = Active(effect, effect.checked(nothing))
+    assert gel_with([absent], GelTerm(VALUES), RELEASED) == GelTerm(VALUES)
+    np.testing.assert_array_equal(run_through(absent), run_through())
+    present = Active(effect, effect.checked({}))
+    np.testing.assert_array_equal(run_through(present), run_through(present))
+    assert effect.gel is not None or not np.array_equal(run_through(present), run_through())
 
 
 @pytest.mark.parametrize(

@@ -139,16 +139,3 @@ def test_means_weigh_area_direction_and_size() -> None:
     measured = np.array([[1.0, 2.0, -2.0], [0.0, 0.0, 4.0]])
     assert relative_rms(0.1 * measured, measured) == pytest.approx(0.1)
     assert relative_rms(measured, np.zeros_like(measured)) is None
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "message"),
-    [
-        (np.zeros((3, 3)), np.zeros((4, 3)), "3 and 4 points"),
-        (np.zeros((0, 3)), np.zeros((0, 3)), r"expected \(N, 3\)"),
-        (np.full((3, 3), np.nan), np.zeros((3, 3)), "not finite"),
-    ],
-)
-def test_bad_clouds_are_refused(first: FloatArray, second: FloatArray, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        cloud_distances(first, second)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dotsim_ros.gap.presses.search_state import SolveProgress
+from dotsim_ros.gap.presses.search import progress_of_two_steps
 from dotsim_ros.io import progress
 from dotsim_ros.io.progress import PrintedProgress
 
@@ -48,14 +48,12 @@ def test_the_time_left_follows_the_rate_since_the_first_is_told(monkeypatch, cap
 
 def test_solves_count_over_the_steps_that_are_planned():
     told: list[tuple[str, int, int]] = []
-    solving = SolveProgress(lambda *one: told.append(one), later=60)
-    solving(0, 40)
-    solving(20, 40)
-    solving(40, 40)
-    solving.begin_last()
+    first, last = progress_of_two_steps(lambda *one: told.append(one), later=60)
+    for done in (0, 20, 40):
+        first(done, 40)
     # Some of what was planned is known already.
-    solving(0, 50)
-    solving(50, 50)
+    last(0, 50)
+    last(50, 50)
     # A press of the first step counts for 1.65 of the later ones.
     assert told == [
         ("solve", 0, 126),

@@ -30,10 +30,6 @@ image_effect = partial(Effect, channels=(IMAGE,), excited_by=any_frame)
 """An effect of the image; every frame shows it, unless it names what excites it."""
 
 
-def _ambient_light(values: Values, image: SeenImage) -> FloatArray:
-    return within_scale(image.pixels + FULL_SCALE * values["added_share"])
-
-
 AMBIENT_LIGHT = image_effect(
     name="ambient_light",
     title="Ambient light",
@@ -42,7 +38,9 @@ AMBIENT_LIGHT = image_effect(
     parameters=(EffectParameter("added_share", "", 0.0, -0.05, 0.05, (0.02, -0.02)),),
     protocol="images with the LEDs off",
     taken_for=("gamma", "daylight"),
-    image=by_frame(_ambient_light),
+    image=by_frame(
+        lambda values, image: within_scale(image.pixels + FULL_SCALE * values["added_share"])
+    ),
 )
 
 DARK_LEVEL = 1.0
@@ -436,10 +434,6 @@ along its flow.
 """
 
 
-def _saturation(values: Values, image: SeenImage) -> FloatArray:
-    return np.minimum(image.pixels, FULL_SCALE * values["clip_share"])
-
-
 SATURATION = image_effect(
     name="saturation",
     title="Saturation of the camera",
@@ -448,7 +442,9 @@ SATURATION = image_effect(
     parameters=(EffectParameter("clip_share", "", 1.0, 0.5, 1.0, (0.85, 0.65)),),
     protocol="images that come near to white: bright LEDs, a glossy contact",
     taken_for=("gamma", "auto_exposure"),
-    image=by_frame(_saturation),
+    image=by_frame(
+        lambda values, image: np.minimum(image.pixels, FULL_SCALE * values["clip_share"])
+    ),
 )
 
 

@@ -28,12 +28,6 @@ from dotsim_ros.specification import GEL_PARAMETERS
 C20, POISSON_RATIO = GEL_PARAMETERS["c20_ratio"], GEL_PARAMETERS["poisson_ratio"]
 
 
-def _hyperelastic_stiffening_gel(
-    term: GelTerm, values: Values, recording: Recording | None
-) -> GelTerm:
-    return with_gel(term, c20_ratio=term.values.c20_ratio + values["c20_ratio"])
-
-
 HYPERELASTIC_STIFFENING = Effect(
     name="hyperelastic_stiffening",
     title="Stiffening at large strain (Yeoh's C20)",
@@ -43,7 +37,9 @@ HYPERELASTIC_STIFFENING = Effect(
     protocol="slow presses to three depths, the deepest beyond 2 mm, with a narrow indenter",
     excited_by=strains,
     taken_for=("compressibility", "thickness_error", "mullins_softening"),
-    gel=_hyperelastic_stiffening_gel,
+    gel=lambda term, values, _: with_gel(
+        term, c20_ratio=term.values.c20_ratio + values["c20_ratio"]
+    ),
 )
 """Yeoh, "Some forms of the strain energy function for rubber", 1993: the energy's second
 coefficient. The third one shows the same at larger strain; presses of a fingertip cannot
@@ -76,10 +72,6 @@ incompressibility; it is zero at the twin's own ratio.
 """
 
 
-def _thickness_error_gel(term: GelTerm, values: Values, recording: Recording | None) -> GelTerm:
-    return with_gel(term, thickness_m=term.values.thickness_m * (1.0 + values["thickness_share"]))
-
-
 THICKNESS_ERROR = Effect(
     name="thickness_error",
     title="Another thickness of the gel",
@@ -89,7 +81,9 @@ THICKNESS_ERROR = Effect(
     protocol="oblique presses all over the skin, to depths of a fifth of the thickness",
     excited_by=strains,
     taken_for=("youngs_modulus", "compressibility", "hyperelastic_stiffening"),
-    gel=_thickness_error_gel,
+    gel=lambda term, values, _: with_gel(
+        term, thickness_m=term.values.thickness_m * (1.0 + values["thickness_share"])
+    ),
 )
 
 WORK_POWER = 5.0 / 3.0

@@ -25,11 +25,6 @@ from dotsim_ros.effects.effect import (
 )
 from dotsim_ros.effects.excitation import touches, unloads
 
-
-def _coulomb_slip_gel(term: GelTerm, values: Values, recording: Recording | None) -> GelTerm:
-    return with_gel(term, friction=term.values.friction * values["friction_ratio"])
-
-
 COULOMB_SLIP = Effect(
     name="coulomb_slip",
     title="Coulomb slip at another friction",
@@ -39,7 +34,9 @@ COULOMB_SLIP = Effect(
     protocol="a slide of two contact radii, or an oblique press",
     excited_by=lambda recording: recording.has(Phase.SLIDE),
     taken_for=("numerical shear stiffness",),
-    gel=_coulomb_slip_gel,
+    gel=lambda term, values, _: with_gel(
+        term, friction=term.values.friction * values["friction_ratio"]
+    ),
 )
 
 

@@ -38,12 +38,6 @@ def with_relaxation(term: GelTerm, share: float, time_s: float) -> GelTerm:
     )
 
 
-def _viscoelastic_relaxation_gel(
-    term: GelTerm, values: Values, recording: Recording | None
-) -> GelTerm:
-    return with_relaxation(term, values["share"], values["time_s"])
-
-
 VISCOELASTIC_RELAXATION = Effect(
     name="viscoelastic_relaxation",
     title="Viscoelastic relaxation",
@@ -56,7 +50,7 @@ VISCOELASTIC_RELAXATION = Effect(
     protocol="a press that is held for three times the relaxation, reached fast and slowly",
     excited_by=lambda recording: recording.has(Phase.HOLD) or unloads(recording),
     taken_for=("poroelastic_relaxation", "latency", "permanent_set", "thermal_drift"),
-    gel=_viscoelastic_relaxation_gel,
+    gel=lambda term, values, _: with_relaxation(term, values["share"], values["time_s"]),
 )
 """One term of a Prony series, as `dotsim_ros.gel.implicit.relaxation` solves it; the elastic
 constants stay those of the fast response.

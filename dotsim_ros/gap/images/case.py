@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,14 +47,11 @@ class Shot:
     change: FloatArray
 
     def of_frames(self, frames: NDArray[np.integer]) -> Shot:
-        """Return some of the frames; the films keep how fast the image moved there."""
-        film = replace(
-            self.film, **{name: getattr(self.film, name)[frames] for name in Film.BY_FRAME}
-        )
+        """Return some of the frames."""
         return replace(
             self,
             measured=self.measured[frames],
-            film=film,
+            film=self.film.of_frames(frames),
             residual=self.residual[frames],
             change=self.change[frames],
         )
@@ -102,7 +99,7 @@ class OpticalCase:
 def optical_case(
     images: MeasuredImages,
     model: TwinCamera,
-    skins: Mapping[str, FloatArray],
+    skins: Sequence[FloatArray | None],
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> OpticalCase:
@@ -111,8 +108,7 @@ def optical_case(
     Args:
         images: as measured.
         model: of the twin's images, at their size.
-        skins: (F, V, 3) of the sensor's skin by name of the trajectory; those that it lacks are
-            left out.
+        skins: (F, V, 3) of the sensor's skin for each trajectory; one of None is left out.
         progress: called with the number of trajectories done, and of all.
     """
     # Loaded on use: it starts Warp.
@@ -123,17 +119,15 @@ def optical_case(
     idles = np.stack([resized_image(one, WIDTH, HEIGHT) for one in images.idle_images])
     mean = idles.mean(axis=0, dtype=np.float64)[None]
     shots = [_shot(IDLE, None, mean, resized(model.idle_film(), WIDTH, HEIGHT), meter)]
-    known = [one for one in images.trajectories if one.recording.name in skins]
-    for number, one in enumerate(known):
-        recording = one.recording
-        film = model.film(
-            skins[recording.name], recording.press.stamp_s, start_s=recording.session_s
-        )
-        measured = np.stack([resized_image(image, WIDTH, HEIGHT) for image in one.measured])
-        film = resized(film, WIDTH, HEIGHT)
-        shots.append(_shot(recording.name, recording, measured, film, meter))
+    for number, (one, skin) in enumerate(zip(images.trajectories, skins, strict=True)):
+        if skin is not None:
+            recording = one.recording
+            film = model.film(skin, recording.press.stamp_s, start_s=recording.session_s)
+            measured = np.stack([resized_image(image, WIDTH, HEIGHT) for image in one.measured])
+            film = resized(film, WIDTH, HEIGHT)
+            shots.append(_shot(recording.name, recording, measured, film, meter))
         if progress is not None:
-            progress(number + 1, len(known))
+            progress(number + 1, len(skins))
     unknown = np.full((len(meter.grid), shots[0].residual.shape[-1]), np.nan)
     return OpticalCase(tuple(shots), meter, meter.noise(idles) if len(idles) > 1 else unknown)
 
@@ -151,10 +145,7 @@ def _shot(
     return Shot(name, recording, measured, film, residual, change)
 
 
-def excited(effects: Mapping[str, Effect], shots: Sequence[Shot]) -> tuple[list[Effect], list[str]]:
-    """Return the effects that act on images and that these excite, and the names of the others
-    that act on images."""
-    optical = [effect for effect in effects.values() if effect.image is not None]
+def excited(effects: Sequence[Effect], shots: Sequence[Shot]) -> list[Effect]:
+    """Return the effects that the trajectories of some shots excite."""
     recordings = [shot.recording for shot in shots if shot.recording is not None]
-    found = [e for e in optical if any(e.excited_by(recording) for recording in recordings)]
-    return found, [effect.name for effect in optical if effect not in found]
+    return [e for e in effects if any(e.excited_by(recording) for recording in recordings)]

@@ -19,7 +19,7 @@ from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.measurement import one_of_each, protocol_of
 from dotsim_ros.effects.effect import IMAGE, Effect
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
-from dotsim_ros.effects.simulate import open_solver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, open_solver
 from dotsim_ros.gap.findings import (
     Candidate,
     ChannelGap,
@@ -39,7 +39,6 @@ from dotsim_ros.gap.images.case import (
     optical_case,
 )
 from dotsim_ros.gap.images.fit import (
-    Fitted,
     ImageSearch,
     OpticalAnswer,
     mean_squares,
@@ -71,7 +70,7 @@ def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
     Raises:
         FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """
-    case = case_of(request, progress)
+    case = case_of(request, *images_of(request), progress)
     _check_enough(case)
     effects = [e for e in request.library().values() if e.image is not None]
     name = read_data_set(request.measured).directory.name
@@ -84,30 +83,57 @@ def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
     )
 
 
-def case_of(
-    request: GapRequest,
-    progress: Progress,
-    *,
-    taken: tuple[MeasuredImages, TwinCamera] | None = None,
-    overlay: Overlay | None = None,
-) -> OpticalCase:
-    """Return the images of a data set next to those of the twin.
-
-    Args:
-        request: what is searched.
-        progress: told the steps.
-        taken: as `_images_and_model`, where they were read before.
-        overlay: effects of the gel; None for none.
+def images_of(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:
+    """Return the images of a data set, and the model of the twin's at their size.
 
     Raises:
-        FileNotFoundError, ValueError: images that cannot be used; the text says why.
+        FileNotFoundError, ValueError: as `read_images`; or images of another unit.
     """
-    images, model = taken or _images_and_model(request)
-    skins, solves, left_out = _skins(request, images, overlay, progress)
+    twin = request.sensor
+    images = read_images(request.measured, sensor=twin, indenters=request.indenters)
+    height, width = images.idle_images.shape[1:3]
+    idle, owner = None, f"the idle frame of {twin.name}"
+    if request.reference is not None:
+        reference = read_images(request.reference, sensor=twin, indenters=request.indenters)
+        idle, owner = reference.idle, "that of the reference"
+        check_same_unit(idle, images.idle, owner=owner)
+    camera = twin.camera
+    if width * camera.height != height * camera.width:
+        raise ValueError(
+            f"they are {width}x{height}, the camera of {twin.name} has "
+            f"{camera.width}x{camera.height}, another aspect ratio: they come from another camera"
+        )
+    model = TwinCamera(twin, width=width, height=height, idle=idle)
+    check_same_unit(model.idle, images.idle, owner=owner)
+    return images, model
+
+
+def case_of(
+    request: GapRequest,
+    images: MeasuredImages,
+    model: TwinCamera,
+    progress: Progress,
+    overlay: Overlay | None = None,
+) -> OpticalCase:
+    """Return images next to those of the twin, whose gel has the effects of an overlay."""
+    sensor, library = request.sensor, request.library()
+    active = () if overlay is None else active_effects(overlay, library)
+    with open_solver(
+        sensor, skin_of(sensor.gel), request.directory / "solves", workers=request.workers
+    ) as solver:
+        answers, failures = solver.run_each(
+            [
+                EffectRequest(one.recording, values_of(sensor), effects=active)
+                for one in images.trajectories
+            ],
+            lambda done, total: progress("skins of the images", done, total),
+        )
+    skins = [None if answer is None else answer.skin_position_m for answer in answers]
     case = optical_case(
         images, model, skins, progress=lambda done, total: progress("images", done, total)
     )
-    return replace(case, solve_count=solves, left_out=tuple(left_out))
+    left_out = tuple(f"no image of the twin's: {text}" for text in failures)
+    return replace(case, solve_count=solver.solve_count, left_out=left_out)
 
 
 def _check_enough(case: OpticalCase) -> None:
@@ -124,7 +150,7 @@ def _null_of(
     request: GapRequest, effects: Sequence[Effect], progress: Progress
 ) -> tuple[OpticalNull, list[str], int]:
     """Return what images show where nothing is missing, what limits that, and how many solves it
-    took. Nothing is missing in a reference: it tells the sizes of effects that the file does not
+    took. Nothing is missing in a reference: it gives the sizes of effects that the file does not
     know, such as the user's own."""
     null = load_optical_null(request.optical_noise)
     unknown = [effect for effect in effects if not null.knows(effect)]
@@ -133,12 +159,17 @@ def _null_of(
     reason = ""
     if request.reference is not None:
         try:
-            case = case_of(replace(request, measured=request.reference), progress)
+            commissioned = replace(request, measured=request.reference)
+            case = case_of(commissioned, *images_of(commissioned), progress)
             _check_enough(case)
-            name = read_data_set(request.reference).directory.name
-            source = f"{len(case.shots) - 1} trajectories of {name}"
-            told = wording.learnt_from_reference(unknown, source)
-            return null.with_effects(unknown, case), [told], case.solve_count
+            folder = read_data_set(request.reference).directory.name
+            source = f"{len(case.shots) - 1} trajectories of {folder}"
+            names = ", ".join(effect.name for effect in unknown)
+            limit = (
+                f"the file of the images' noise does not hold {names}: their limits come from "
+                f"{source}, the reference, in which no effect is taken to be missing"
+            )
+            return null.with_effects(unknown, case), [limit], case.solve_count
         except (FileNotFoundError, ValueError) as error:
             reason = str(error)
     return null, [wording.not_tried_warning(unknown, LEAST_TRAJECTORIES + 1, reason)], 0
@@ -158,19 +189,20 @@ def find_optical(
 ) -> tuple[OpticalFindings, tuple[FoundEffect, ...], str, int]:
     """Return the optical part, its effects for the overlay, the hash of the images, and how many
     solves it took."""
-    images, model = _images_and_model(request)
+    images, model = images_of(request)
     null, limits, solves = _null_of(request, effects, progress)
     warnings = [*images.warnings, *limits]
     known = [effect for effect in effects if null.knows(effect)]
     not_tried = [effect for effect in effects if effect not in known]
+    names = tuple(effect.name for effect in not_tried)
+    untried = wording.not_tried_sentence(not_tried)
     if not known:
-        sentence = f"Images: not searched. {wording.not_tried_sentence(not_tried)}"
-        names = tuple(effect.name for effect in not_tried)
+        sentence = f"Images: not searched. {untried}"
         nothing = OpticalFindings(
             Verdict.UNUSABLE, sentence, not_tried=names, warnings=tuple(warnings)
         )
         return nothing, (), images.digest, solves
-    case = case_of(request, progress, taken=(images, model), overlay=overlay)
+    case = case_of(request, images, model, progress, overlay)
     warnings += case.left_out
     solves += case.solve_count
     if findings is not None and findings.verdict is Verdict.UNKNOWN:
@@ -185,76 +217,25 @@ def find_optical(
     random = np.random.default_rng([request.seed, 1])
     locked = _locked(case, findings, random)
     chosen = [shot for shot in case.shots if shot.name not in locked]
-    tried, silent = excited({e.name: e for e in known}, chosen)
+    tried = excited(known, chosen)
     if not tried:
         raise ValueError("no image excites any effect of the camera; record presses with images")
     progress("screen the images", 0, 1)
     search = ImageSearch(case, chosen, tried, null, alpha=request.alpha, seed=request.seed)
     progress("screen the images", 1, 1)
     answer = search.answer()
-    library = {effect.name: effect for effect in effects}
-    seen = _optical_findings(case, search, answer, locked, null, library, silent, random, warnings)
-    if not_tried:
-        sentence = f"{seen.sentence} {wording.not_tried_sentence(not_tried)}"
-        names = tuple(effect.name for effect in not_tried)
-        seen = replace(seen, sentence=sentence, not_tried=names)
+    silent = [effect for effect in known if effect not in tried]
+    seen = _optical_findings(search, answer, locked, {e.name: e for e in effects}, silent, random)
+    seen = replace(
+        seen,
+        sentence=f"{seen.sentence} {untried}" if not_tried else seen.sentence,
+        not_tried=names,
+        warnings=(*warnings, *seen.warnings),
+    )
     found = tuple(
         FoundEffect(one.effect.name, answer.estimates[one.effect.name]) for one in answer.named
     )
     return seen, found, images.digest, solves
-
-
-def _images_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:
-    """Return the images, and the model of the twin's at their size.
-
-    Raises:
-        FileNotFoundError, ValueError: as `read_images`; or images of another unit.
-    """
-    twin = request.sensor
-    images = read_images(request.measured, sensor=twin, indenters=request.indenters)
-    height, width = images.idle_images.shape[1:3]
-    idle, owner = None, f"the idle frame of {request.sensor.name}"
-    if request.reference is not None:
-        reference = read_images(request.reference, sensor=twin, indenters=request.indenters)
-        idle, owner = reference.idle, "that of the reference"
-        check_same_unit(idle, images.idle, owner=owner)
-    camera = request.sensor.camera
-    if width * camera.height != height * camera.width:
-        raise ValueError(
-            f"they are {width}x{height}, the camera of {request.sensor.name} has "
-            f"{camera.width}x{camera.height}, another aspect ratio: they come from another camera"
-        )
-    model = TwinCamera(request.sensor, width=width, height=height, idle=idle)
-    check_same_unit(model.idle, images.idle, owner=owner)
-    return images, model
-
-
-def _skins(
-    request: GapRequest, images: MeasuredImages, overlay: Overlay | None, progress: Progress
-) -> tuple[dict[str, FloatArray], int, list[str]]:
-    """Return the twin's skin (F, V, 3) by trajectory, how many solves it took, and what could not
-    be solved."""
-    sensor = request.sensor
-    active = () if overlay is None else active_effects(overlay, request.library())
-    recordings = [one.recording for one in images.trajectories]
-    with open_solver(
-        sensor,
-        skin_of(sensor.gel),
-        request.directory / "solves",
-        library=request.library(),
-        workers=request.workers,
-    ) as solver:
-        answers, failures = solver.run_each(
-            [request_of(r, values_of(sensor), effects=active) for r in recordings],
-            lambda done, total: progress("skins of the images", done, total),
-        )
-        count = solver.solve_count
-    skins = {
-        recording.name: answer.skin_position_m
-        for recording, answer in zip(recordings, answers, strict=True)
-        if answer is not None
-    }
-    return skins, count, [f"no image of the twin's: {text}" for text in failures]
 
 
 def _locked(
@@ -271,38 +252,37 @@ def _locked(
 
 
 def _optical_findings(
-    case: OpticalCase,
     search: ImageSearch,
     answer: OpticalAnswer,
     locked: Sequence[str],
-    null: OpticalNull,
     library: Mapping[str, Effect],
-    silent: Sequence[str],
+    silent: Sequence[Effect],
     random: np.random.Generator,
-    warnings: Sequence[str],
 ) -> OpticalFindings:
+    case, null = search.case, search.null
     judged = case.of(locked) or [s for s in search.shots if s.name != IDLE] or search.shots
     before = [shot.residual for shot in judged]
-    after = without_effects(case, judged, answer.named)
-    squares = [mean_squares(judged, one, search.noise, case) for one in (before, after)]
-    sizes = np.array([one.size for one in before])
-    closed = _closed(squares, sizes, null.usual_excess, random) if answer.named else None
-    told = [(one.effect, answer.estimates[one.effect.name]) for one in answer.named]
-    uncertain = wording.certainty_warnings(" of the images' effect", answer.stability, told)
-    gap = _colour_gap(judged, before, after, search, null)
-    beyond = answer.beyond
+    after = without_effects(case, judged, before, answer.named)
+    closed: Closed = (None, None, None)
+    if answer.named:
+        squares = [mean_squares(judged, one, search.noise, case) for one in (before, after)]
+        sizes = np.array([one.size for one in before])
+        closed = _closed(squares, sizes, null.usual_excess, random)
+    estimated = [(one.effect, answer.estimates[one.effect.name]) for one in answer.named]
+    uncertain = wording.certainty_warnings(" of the images' effect", answer.stability, estimated)
+    gap = _colour_gap(search, judged, before, after)
+    if answer.verdict is Verdict.NO_GAP:
+        sentence = wording.NO_GAP_IN_IMAGES
+    elif answer.verdict is Verdict.UNKNOWN:
+        beyond = answer.beyond
+        asked = [wording.asked("images", beyond.parameter, beyond.value)] if beyond else []
+        sentence = wording.unknown_in_images(_nearest(answer, library), asked)
+    else:
+        alternatives = [library[name] for name in answer.alternatives]
+        sentence = wording.missing_in_images(estimated, alternatives, gap)
     return OpticalFindings(
         verdict=answer.verdict,
-        sentence=wording.optical_sentence(
-            answer.verdict,
-            wording.Facts(
-                named=told,
-                alternatives=[library[name] for name in answer.alternatives],
-                gaps=[gap],
-                nearest=_nearest(answer, library),
-                beyond=None if beyond is None else (beyond.parameter, beyond.value),
-            ),
-        ),
+        sentence=sentence,
         named=tuple(one.effect.name for one in answer.named),
         alternatives=answer.alternatives,
         statistic=answer.statistic,
@@ -312,12 +292,12 @@ def _optical_findings(
         largest_excess=answer.largest_excess,
         candidates=_candidates(answer, library, silent),
         gap=gap,
-        share_closed=None if closed is None else closed[0],
-        share_closed_low=None if closed is None else closed[1],
-        share_closed_high=None if closed is None else closed[2],
+        share_closed=closed[0],
+        share_closed_low=closed[1],
+        share_closed_high=closed[2],
         stability=answer.stability,
-        tiles=_tiles(case, judged, before, after, search),
-        warnings=(*warnings, *uncertain),
+        tiles=_tiles(search, judged, before, after),
+        warnings=tuple(uncertain),
         trajectories=tuple(shot.name for shot in search.shots),
         locked=tuple(locked),
         frame_count=sum(len(shot.measured) for shot in case.shots),
@@ -325,116 +305,104 @@ def _optical_findings(
     )
 
 
-def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> list[Effect]:
+def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> Effect | None:
     """Return the effect that comes nearest, where any explains something."""
     if answer.beyond is not None:
-        return [answer.beyond.effect]
+        return answer.beyond.effect
     best = answer.scores[0]
-    return [library[best.name]] if best.fit > 0.0 else []
+    return library[best.name] if best.fit > 0.0 else None
+
+
+Closed = tuple[float, float, float] | tuple[None, None, None]
 
 
 def _closed(
     squares: Sequence[FloatArray], sizes: FloatArray, floor: float, random: np.random.Generator
-) -> tuple[float, float, float] | None:
+) -> Closed:
     """Return the share of the gap closed, (RMS0^2 - RMS1^2) / (RMS0^2 - floor^2), with its interval
     by a bootstrap over trajectories; None where there was no gap."""
     draws = random.integers(len(sizes), size=(RESAMPLED, len(sizes)))
     shares = []
     for drawn in [np.arange(len(sizes)), *draws]:
         before, after = (float(np.average(s[drawn], weights=sizes[drawn])) for s in squares)
-        if before <= floor:
-            continue
-        shares.append((before - after) / (before - floor))
-    if not shares or float(np.average(squares[0], weights=sizes)) <= floor:
-        return None
+        if before > floor:
+            shares.append((before - after) / (before - floor))
+        elif not shares:
+            return None, None, None
     low, high = np.percentile(shares, [2.5, 97.5]).tolist()
     return shares[0], min(low, shares[0]), max(high, shares[0])
 
 
 def _colour_gap(
+    search: ImageSearch,
     shots: Sequence[Shot],
     before: Sequence[FloatArray],
     after: Sequence[FloatArray],
-    search: ImageSearch,
-    null: OpticalNull,
 ) -> ChannelGap:
     """Return the RMS of the tiles' colours, in grey levels; recalibrated: with one gain and one
     black level of the camera for all."""
 
-    def level(values: Sequence[FloatArray]) -> float:
-        return float(
-            np.sqrt(np.mean(np.concatenate([v[..., COLOURS].ravel() for v in values]) ** 2))
-        )
+    def colours(values: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([one[..., COLOURS].ravel() for one in values])
 
-    colours = np.concatenate([one[..., COLOURS].ravel() for one in before])
-    columns = np.stack(
-        [
-            np.concatenate([search.case.meter.colour(s.film.pixels).ravel() for s in shots]),
-            np.ones(len(colours)),
-        ],
-        axis=1,
-    )
-    fitted = columns @ np.linalg.lstsq(columns, colours, rcond=None)[0]
-    expected = [search.noise.deviation(shot.change) for shot in shots]
-    left = np.concatenate([one[..., COLOURS].ravel() for one in after])
-    left = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
+    def level(values: FloatArray) -> float:
+        return float(np.sqrt(np.mean(values**2)))
+
+    seen = np.concatenate([search.case.meter.colour(s.film.pixels).ravel() for s in shots])
+    camera = np.stack([seen, np.ones(len(seen))], axis=1)
+
+    def recalibrated(values: FloatArray) -> FloatArray:
+        return np.asarray(values - camera @ np.linalg.lstsq(camera, values, rcond=None)[0])
+
+    measured = colours(before)
+    expected = colours([search.noise.deviation(shot.change) for shot in shots])
     return ChannelGap(
         IMAGE,
         "levels",
-        level(before),
-        float(np.sqrt(np.mean((colours - fitted) ** 2))),
-        float(np.sqrt(np.mean(left**2))),
-        float(np.sqrt(null.usual_excess)) * level(expected),
+        level(measured),
+        level(recalibrated(measured)),
+        level(recalibrated(colours(after))),
+        float(np.sqrt(search.null.usual_excess)) * level(expected),
     )
 
 
 def _tiles(
-    case: OpticalCase,
+    search: ImageSearch,
     shots: Sequence[Shot],
     before: Sequence[FloatArray],
     after: Sequence[FloatArray],
-    search: ImageSearch,
 ) -> tuple[TileGap, ...]:
     """Return the RMS of each tile's observables in expected deviations."""
-    deviation = [search.noise.deviation(shot.change) for shot in shots]
+    deviation = np.concatenate([search.noise.deviation(shot.change) for shot in shots])
     rms = [
-        np.sqrt(
-            np.mean(
-                np.concatenate([r / d for r, d in zip(values, deviation, strict=True)]) ** 2,
-                axis=(0, 2),
-            )
-        )
+        np.sqrt(np.mean((np.concatenate(values) / deviation) ** 2, axis=(0, 2))).tolist()
         for values in (before, after)
     ]
-    centre = case.meter.grid.centre_px / [WIDTH, HEIGHT]
+    centre = (search.case.meter.grid.centre_px / [WIDTH, HEIGHT]).tolist()
     return tuple(
-        TileGap(float(x), float(y), float(first), float(second))
-        for (x, y), first, second in zip(centre.tolist(), *rms, strict=True)
+        TileGap(x, y, first, second) for (x, y), first, second in zip(centre, *rms, strict=True)
     )
 
 
 def _candidates(
-    answer: OpticalAnswer, library: Mapping[str, Effect], silent: Sequence[str]
+    answer: OpticalAnswer, library: Mapping[str, Effect], silent: Sequence[Effect]
 ) -> tuple[Candidate, ...]:
-    fitted: dict[str, Fitted] = {one.effect.name: one for one in answer.named}
+    fitted = {one.effect.name: one.score.values for one in answer.named}
     result = []
-    for score in answer.scores:
+    for score in filter(lambda one: one.is_excited, answer.scores):
         effect = library[score.name]
-        if not score.is_excited:
-            continue
-        own = fitted.get(score.name)
-        values = score.values if own is None else own.score.values
+        size = fitted.get(score.name, score.values)[effect.parameters[0].name]
+        estimates = answer.estimates.get(score.name, ())
         result.append(
             Candidate(
-                score.name,
+                effect.name,
                 effect.title,
                 True,
                 score.statistic,
-                values[effect.parameters[0].name],
+                size,
                 score.explained,
-                None,
-                answer.estimates.get(score.name, ()),
+                estimates=estimates,
             )
         )
-    hidden = [score.name for score in answer.scores if not score.is_excited]
-    return (*result, *(candidate_of(library[name]) for name in [*silent, *hidden]))
+    hidden = [library[score.name] for score in answer.scores if not score.is_excited]
+    return (*result, *map(candidate_of, [*silent, *hidden]))

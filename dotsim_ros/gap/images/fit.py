@@ -17,7 +17,7 @@ is unknown, unless an effect that takes off as much is within its own range.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,14 +33,12 @@ from dotsim_ros.gap.images.search import (
     EffectScore,
     OpticalSearch,
     Signature,
-    alike,
     camera_nuisances,
     freed,
     probes_of,
     signatures_of,
 )
 from dotsim_ros.gap.images.tile_noise import TileNoise
-from dotsim_ros.gap.resampling import BOOTSTRAPS, Contest, bootstrap_weights, stability
 from dotsim_ros.io.arrays import FloatArray
 
 ROUNDS = 2
@@ -96,16 +94,16 @@ class OpticalAnswer:
     """
 
     verdict: Verdict
-    named: tuple[Fitted, ...]
-    alternatives: tuple[str, ...]
     scores: tuple[EffectScore, ...]
     statistic: float
     threshold: float
-    explained: float
     excess: float
     largest_excess: float
-    stability: float | None
-    estimates: Mapping[str, tuple[Estimate, ...]]
+    explained: float = 0.0
+    named: tuple[Fitted, ...] = ()
+    alternatives: tuple[str, ...] = ()
+    estimates: Mapping[str, tuple[Estimate, ...]] = field(default_factory=dict)
+    stability: float | None = None
     beyond: BeyondRange | None = None
 
 
@@ -147,61 +145,54 @@ class ImageSearch:
         self.threshold = self.search.threshold(alpha, seed=seed)
 
     def _searching(self, signatures: Mapping[str, Sequence[Signature]]) -> OpticalSearch:
-        spurious = self.null.spurious_of(signatures)
+        spurious = {
+            name: [self.null.variances(name, one) for one in several]
+            for name, several in signatures.items()
+        }
         return OpticalSearch(signatures, self.noise, self.nuisances, self._changes, spurious)
 
     def answer(self, residuals: Sequence[FloatArray] | None = None) -> OpticalAnswer:
         """Return what the rule makes of residuals (F, T, 6) of the shots; None for their own."""
         measured = [s.residual for s in self.shots] if residuals is None else list(residuals)
         scores = self.search.score(measured)
-        statistic = max(score.statistic for score in scores)
         count = sum(one.size for one in measured)
         most = self.null.largest_excess(self.alpha)
         before = self._square(measured)
+        answer = OpticalAnswer(
+            Verdict.UNKNOWN if before / count > most else Verdict.NO_GAP,
+            scores=tuple(scores),
+            statistic=max(score.statistic for score in scores),
+            threshold=self.threshold,
+            excess=before / count,
+            largest_excess=most,
+        )
         able = [score for score in scores if score.statistic > self.threshold]
-        named: list[Fitted] = []
-        beyond: BeyondRange | None = None
-        explained = 0.0
-        if able:
-            named, left, beyond = self._plausible(measured, able)
-            gained = before - left
-            explained = gained / max(gained + max(left - most * count, 0.0), 1e-9)
-        excess = before / count
-        verdict = Verdict.NO_GAP
-        if able:
-            is_answer = beyond is None and explained >= decision.EXPLAINED
-            verdict = Verdict.NAMED if is_answer else Verdict.UNKNOWN
-        elif excess > most:
-            verdict = Verdict.UNKNOWN
-        alternatives: tuple[str, ...] = ()
-        stable = None
-        estimates: dict[str, tuple[Estimate, ...]] = {}
-        if verdict is Verdict.NAMED:
-            if len(named) == 1:
-                alternatives = self._alternatives(measured, scores, named[0])
-            verdict = Verdict.SET if alternatives else Verdict.NAMED
-            weights = bootstrap_weights(len(self.shots), BOOTSTRAPS, self._random)
-            alone = [
-                (one, self._without(measured, [other for other in named if other is not one]))
-                for one in named
-            ]
-            estimates = self._estimates(alone, weights)
-            stable = self._stability(alone, alternatives, weights)
-        else:
-            named = []
-        return OpticalAnswer(
-            verdict,
-            tuple(named),
-            alternatives,
-            tuple(scores),
-            statistic,
-            self.threshold,
-            float(np.clip(explained, 0.0, 1.0)),
-            excess,
-            most,
-            stable,
-            estimates,
-            beyond,
+        if not able:
+            return answer
+        named, left, beyond = self._plausible(measured, able)
+        gained = before - left
+        explained = gained / max(gained + max(left - most * count, 0.0), 1e-9)
+        answer = replace(
+            answer,
+            verdict=Verdict.UNKNOWN,
+            explained=float(np.clip(explained, 0.0, 1.0)),
+            beyond=beyond,
+        )
+        if beyond is not None or explained < decision.EXPLAINED:
+            return answer
+        alternatives = self._alternatives(measured, scores, named[0]) if len(named) == 1 else ()
+        weights = decision.bootstrap_weights(len(self.shots), decision.BOOTSTRAPS, self._random)
+        alone = [
+            (one, self._without(measured, [other for other in named if other is not one]))
+            for one in named
+        ]
+        return replace(
+            answer,
+            verdict=Verdict.SET if alternatives else Verdict.NAMED,
+            named=tuple(named),
+            alternatives=alternatives,
+            estimates=self._estimates(alone, weights),
+            stability=self._stability(alone, alternatives, weights),
         )
 
     def _plausible(
@@ -259,11 +250,7 @@ class ImageSearch:
         self, residuals: Sequence[FloatArray], named: Sequence[Fitted]
     ) -> list[FloatArray]:
         """Return what named effects leave of residuals."""
-        active = [one.active for one in named]
-        return [
-            residual - self.case.changed_by(shot, active)
-            for residual, shot in zip(residuals, self.shots, strict=True)
-        ]
+        return without_effects(self.case, self.shots, residuals, named)
 
     def _named(
         self, measured: Sequence[FloatArray], first: EffectScore
@@ -324,7 +311,7 @@ class ImageSearch:
         be beyond their range."""
         order = sorted(scores, key=lambda score: score.name != best.effect.name)
         past = {score.name: score for score in scores if score.statistic > self.threshold}
-        near = [name for name in alike(order, self.search.likeness())[1:] if name in past]
+        near = [name for name in self.search.alike(order)[1:] if name in past]
         return tuple(
             name
             for name in near
@@ -366,7 +353,7 @@ class ImageSearch:
         of two named, each next to the other."""
         named = {one.effect.name for one, _ in alone}
 
-        def contest(one: Fitted, rest: Sequence[FloatArray]) -> Contest:
+        def contest(one: Fitted, rest: Sequence[FloatArray]) -> decision.Contest:
             taken = named - {one.effect.name}
             products = self.search.products(rest)
 
@@ -377,7 +364,7 @@ class ImageSearch:
 
             return winner, {one.effect.name, *alternatives}
 
-        return stability([contest(*one) for one in alone], weights)
+        return decision.stability([contest(*one) for one in alone], weights)
 
 
 def mean_squares(
@@ -392,11 +379,17 @@ def mean_squares(
 
 
 def without_effects(
-    case: OpticalCase, shots: Sequence[Shot], named: Sequence[Fitted]
+    case: OpticalCase,
+    shots: Sequence[Shot],
+    residuals: Sequence[FloatArray],
+    named: Sequence[Fitted],
 ) -> list[FloatArray]:
     """Return what named effects leave of the residuals of shots."""
     active = [one.active for one in named]
-    return [shot.residual - case.changed_by(shot, active) for shot in shots]
+    return [
+        residual - case.changed_by(shot, active)
+        for residual, shot in zip(residuals, shots, strict=True)
+    ]
 
 
 def _probed_at(effect: Effect, values: Mapping[str, float]) -> Effect:

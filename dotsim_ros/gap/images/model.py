@@ -13,8 +13,8 @@ Importing this loads neither Warp nor ONNX Runtime.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import cv2
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Film:
-    """Images of one trajectory, as the twin has them.
+    """Images of one trajectory, as the twin has them: the fields of `SeenImage`, some by frame.
 
     Attributes:
         stamp_s: (F,) times of the frames, within the trajectory.
@@ -62,27 +62,23 @@ class Film:
     pixel_aspect: float = 1.0
     BY_FRAME: ClassVar = ("stamp_s", "session_s", "pixels", "flow_px_s", "depth_m", "normal")
 
-    def seen(self) -> Iterator[SeenImage]:
-        """Yield the frames as effects take them."""
-        for frame in range(len(self.stamp_s)):
-            yield SeenImage(
-                float(self.stamp_s[frame]),
-                float(self.session_s[frame]),
-                self.pixels[frame].astype(np.float64),
-                self.idle,
-                self.centre_px,
-                self.focal_px,
-                self.flow_px_s[frame].astype(np.float64),
-                self.depth_m[frame].astype(np.float64),
-                self.normal[frame].astype(np.float64),
-                self.projection,
-                self.pixel_aspect,
-            )
+    def of_frames(self, frames: NDArray[np.integer]) -> Film:
+        """Return some of the frames; they keep how fast the image moved there."""
+        return replace(self, **{name: getattr(self, name)[frames] for name in self.BY_FRAME})
 
     def with_effects(self, effects: Sequence[Active]) -> Float32Array:
         """Return the pixels (F, H, W, 3) with effects at work, by fresh filters."""
         filtered = image_filters(effects)
-        return np.stack([filtered(image) for image in self.seen()]).astype(np.float32)
+        shared = {
+            one.name: getattr(self, one.name)
+            for one in fields(self)
+            if one.name not in self.BY_FRAME
+        }
+        images = []
+        for frame in range(len(self.stamp_s)):
+            own = {name: getattr(self, name)[frame].astype(np.float64) for name in self.BY_FRAME}
+            images.append(filtered(SeenImage(**own, **shared)))
+        return np.stack(images).astype(np.float32)
 
 
 def resized(film: Film, width: int, height: int) -> Film:
@@ -90,19 +86,21 @@ def resized(film: Film, width: int, height: int) -> Film:
     if film.pixels.shape[1:3] == (height, width):
         return film
     scale = width / film.pixels.shape[2]
-    return Film(
-        film.stamp_s,
-        film.session_s,
-        np.stack([resized_image(one, width, height) for one in film.pixels]),
-        np.stack([np.float32(scale) * resized_image(f, width, height) for f in film.flow_px_s]),
-        np.stack([resized_image(one, width, height) for one in film.depth_m]),
-        np.stack([_unit(resized_image(one, width, height)) for one in film.normal]),
-        resized_image(film.idle, width, height),
+
+    def each(images: NDArray[Any]) -> NDArray[Any]:
+        return np.stack([resized_image(one, width, height) for one in images])
+
+    normal = each(film.normal)
+    return replace(
+        film,
+        pixels=each(film.pixels),
+        flow_px_s=np.float32(scale) * each(film.flow_px_s),
+        depth_m=each(film.depth_m),
+        normal=normal / np.linalg.norm(normal, axis=-1, keepdims=True),
+        idle=resized_image(film.idle, width, height),
         # The centre of the first pixel is (0, 0).
-        scale * (film.centre_px + 0.5) - 0.5,
-        scale * film.focal_px,
-        film.projection,
-        film.pixel_aspect,
+        centre_px=scale * (film.centre_px + 0.5) - 0.5,
+        focal_px=scale * film.focal_px,
     )
 
 
@@ -111,10 +109,6 @@ def resized_image(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
     smaller = width < image.shape[1]
     way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, (width, height), interpolation=way))
-
-
-def _unit(vectors: NDArray[Any]) -> NDArray[Any]:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 class TwinCamera:

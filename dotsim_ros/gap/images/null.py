@@ -22,7 +22,6 @@ from scipy.stats import t as student
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.gap.images.case import IDLE, OpticalCase, Shot
 from dotsim_ros.gap.images.search import (
-    Direction,
     OpticalSearch,
     Signature,
     camera_nuisances,
@@ -82,18 +81,10 @@ class OpticalNull:
             meter: of them.
             camera: (T, 6) deviation by the camera's noise; NaN where it is not known.
         """
-        centre = meter.grid.centre_px
-        nearest = KDTree(self.noise.centre_px).query(centre)[1]
-        own = self.noise.camera[nearest]
-        return TileNoise(
-            centre,
-            np.where(np.isfinite(camera), camera, own),
-            self.noise.model[nearest],
-            self.noise.growth,
-            self.noise.mixing,
-            self.noise.correlations,
-            self.noise.trajectory_count,
-        )
+        own, centre = self.noise, meter.grid.centre_px
+        nearest = KDTree(own.centre_px).query(centre)[1]
+        known = np.where(np.isfinite(camera), camera, own.camera[nearest])
+        return replace(own, centre_px=centre, camera=known, model=own.model[nearest])
 
     def knows(self, effect: Effect) -> bool:
         """Return whether the scatter of an effect's sizes is known, by its parameters' names."""
@@ -125,30 +116,12 @@ class OpticalNull:
     def variances(self, name: str, signature: Signature) -> FloatArray:
         """Return (P,) the variance of a signature's sizes, in squared steps.
 
-        That of the probe whose shape is nearest.
-
-        Raises:
-            ValueError: the file does not hold this effect's parameters.
+        That of the probe whose shape is nearest, of an effect that it knows.
         """
-        names = {d.name for d in signature.directions}
-        known = self._known(name, names, set(signature.shape))
-        if not known:
-            raise ValueError(
-                f"the file of the images' noise does not hold the effect {name} "
-                f"({', '.join(sorted(names))}); make it again with find-gap --fit-optical-noise"
-            )
+        known = self._known(name, {d.name for d in signature.directions}, set(signature.shape))
         step = signature.directions[0].step
         nearest = min(known, key=lambda one: _distance(one, signature, known, step))
         return np.array([(nearest.deviation[d.name] / d.step) ** 2 for d in signature.directions])
-
-    def spurious_of(
-        self, signatures: Mapping[str, Sequence[Signature]]
-    ) -> dict[str, list[FloatArray]]:
-        """Return the variances of all signatures, as `OpticalSearch` takes them."""
-        return {
-            name: [self.variances(name, one) for one in several]
-            for name, several in signatures.items()
-        }
 
     @property
     def usual_excess(self) -> float:
@@ -200,7 +173,7 @@ def fit_optical_null(
         progress: called with the number of trajectories done, and of all.
 
     Raises:
-        ValueError: fewer than five trajectories, or a single idle image.
+        ValueError: a single idle image.
     """
     shots = [shot for shot in case.shots if shot.name != IDLE]
     if not np.all(np.isfinite(case.camera)):
@@ -243,17 +216,14 @@ def _spurious_sizes(
             name,
             dict(one.shape),
             one.directions[0].step,
-            _deviations(one.directions, variance),
+            {
+                d.name: abs(d.step) * float(np.sqrt(v))
+                for d, v in zip(one.directions, variance, strict=True)
+            },
         )
         for name, several in signatures.items()
         for one, variance in zip(several, variances[name], strict=True)
     )
-
-
-def _deviations(directions: Sequence[Direction], variance: FloatArray) -> dict[str, float]:
-    return {
-        d.name: abs(d.step) * float(np.sqrt(v)) for d, v in zip(directions, variance, strict=True)
-    }
 
 
 def save_optical_null(null: OpticalNull, path: Path) -> None:

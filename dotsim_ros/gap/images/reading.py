@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -54,14 +55,12 @@ class MeasuredImages:
     """What a camera took of a data set.
 
     Attributes:
-        directory: of the data set.
         idle_images: (N, H, W, 3) uint8 without contact.
         trajectories: with images of the same size, in the order of the index.
         warnings: what was left out, and why.
         digest: of all that was read.
     """
 
-    directory: Path
     idle_images: ImageArray
     trajectories: tuple[ImageTrajectory, ...]
     warnings: tuple[str, ...]
@@ -73,22 +72,11 @@ class MeasuredImages:
         return np.rint(self.idle_images.mean(axis=0)).astype(np.uint8)
 
 
-def holds_images(directory: str | Path | DataSet) -> tuple[bool, bool]:
-    """Return whether a data set says that its bags hold images, and whether it has idle images.
-
-    Raises:
-        FileNotFoundError, ValueError: as `read_data_set`.
-    """
-    data_set = read_data_set(directory)
-    return any(entry.has_images for entry in data_set.entries), bool(data_set.idle_images())
-
-
 def read_images(
     directory: str | Path | DataSet,
     *,
     sensor: SensorSpecification,
     indenters: str | Path | None = None,
-    names: Sequence[str] | None = None,
 ) -> MeasuredImages:
     """Read the images of a data set.
 
@@ -96,7 +84,6 @@ def read_images(
         directory: the folder that holds dataset.yaml.
         sensor: the twin.
         indenters: folder of the indenters' meshes; None as `find_indenter`.
-        names: of the trajectories to read; None for all with images.
 
     Raises:
         FileNotFoundError: no data set there.
@@ -112,8 +99,10 @@ def read_images(
     paths = data_set.idle_images()
     idle_images = read_idle_images(paths)
     mean_idle_image(idle_images, paths)
-    entries = [e for e in data_set.entries if e.has_images and (names is None or e.name in names)]
+    entries = [entry for entry in data_set.entries if entry.has_images]
     most = _most_frames([entry.frame_count for entry in entries])
+    # Each mesh is read, and found to be closed, once.
+    indenter_of = cache(lambda name: find_indenter(data_set, name, indenters))
     warnings: list[str] = []
     found: dict[str, ImageTrajectory] = {}
     spans_s: dict[str, Span] = {}
@@ -121,7 +110,7 @@ def read_images(
     for entry in entries:
         try:
             one = read_press_images(entry, idle=idle_images[0], most=most)
-            indenter = find_indenter(data_set, entry.indenter, indenters)
+            indenter = indenter_of(entry.indenter)
             spans_s[entry.name] = one.span_s
             recording = recording_of(seen_from(one.press, base_m), indenter, skin, one.delay_s)
             found[entry.name] = ImageTrajectory(recording, one.pixels)
@@ -141,9 +130,7 @@ def read_images(
         for entry, start_s in zip(data_set.entries, starts_s, strict=True)
         if entry.name in found
     )
-    return MeasuredImages(
-        data_set.directory, idle_images, trajectories, tuple(warnings), digest.hexdigest()[:16]
-    )
+    return MeasuredImages(idle_images, trajectories, tuple(warnings), digest.hexdigest()[:16])
 
 
 def check_same_unit(idle: ImageArray, measured: ImageArray, *, owner: str) -> None:

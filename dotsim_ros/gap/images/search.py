@@ -23,10 +23,10 @@ signatures' products alone.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -35,11 +35,14 @@ from dotsim_ros.effects.effect import Active, Effect, EffectParameter
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.images.model import Film
 from dotsim_ros.gap.images.tile_noise import TileNoise
-from dotsim_ros.gap.images.tiles import COLOURS, NAMES, SHARPNESS, TileMeter
+from dotsim_ros.gap.images.tiles import COLOURS, NAMES, SHARPNESS, TileMeter, TileReference
 from dotsim_ros.io.arrays import FloatArray
 
 OFFSET_LEVELS = 0.5
 """Deviation of the camera's black level, grey levels: its prior. Ambient light is more."""
+
+THRESHOLD_DRAWS = 2000
+"""Residuals without any effect that are drawn for a threshold."""
 
 Spurious = Mapping[str, Sequence[FloatArray]]
 """Variance of the spurious size along each direction of each signature, by effect."""
@@ -89,7 +92,7 @@ class Signature:
 
     directions: tuple[Direction, ...]
     shape: Mapping[str, float]
-    blocks: tuple[FloatArray, ...]
+    blocks: Sequence[FloatArray]
 
 
 @dataclass(frozen=True)
@@ -133,24 +136,6 @@ class EffectScore:
     is_excited: bool
 
 
-@dataclass(frozen=True)
-class Likeness:
-    """How alike two effects look in these data.
-
-    Attributes:
-        first, second: their names.
-        cosine: largest between their signatures, 0 to 1.
-    """
-
-    first: str
-    second: str
-    cosine: float
-
-    def separation(self, norm: float) -> float:
-        """Return d of an effect of this whitened length."""
-        return norm * float(np.sqrt(max(1.0 - self.cosine, 0.0) / 2.0))
-
-
 def probes_of(effect: Effect) -> list[tuple[tuple[Direction, ...], dict[str, float]]]:
     """Return the directions and the shape of each probe of an effect.
 
@@ -179,7 +164,30 @@ def _direction(parameter: EffectParameter, probes: Sequence[float]) -> Direction
     return Direction(parameter.name, float(parameter.none), steps[0], parameter.low, parameter.high)
 
 
-def signature_blocks(effect: Effect, film: Film, meter: TileMeter) -> list[FloatArray]:
+def signatures_of(
+    effects: Iterable[Effect], films: Iterable[Film], meter: TileMeter
+) -> dict[str, tuple[Signature, ...]]:
+    """Return the signatures of effects by name; films are taken one at a time."""
+    optical = [effect for effect in effects if effect.image is not None]
+    blocks: dict[str, list[list[FloatArray]]] = {effect.name: [] for effect in optical}
+    for film in films:
+        references = meter.references(film.pixels)
+        for effect in optical:
+            blocks[effect.name].append(_blocks(effect, film, meter, references))
+    return {
+        effect.name: tuple(
+            Signature(directions, shape, several)
+            for (directions, shape), *several in zip(
+                probes_of(effect), *blocks[effect.name], strict=True
+            )
+        )
+        for effect in optical
+    }
+
+
+def _blocks(
+    effect: Effect, film: Film, meter: TileMeter, references: Sequence[TileReference]
+) -> list[FloatArray]:
     """Return what each probe of an effect does to one trajectory, (F, T, 6, P) each."""
     probes = probes_of(effect)
     films = []
@@ -188,26 +196,8 @@ def signature_blocks(effect: Effect, film: Film, meter: TileMeter) -> list[Float
         for d in directions:
             values = effect.checked({**none, **shape, d.name: d.none + d.step})
             films.append(film.with_effects([Active(effect, values)]))
-    found = iter(meter.differences(films, film.pixels))
+    found = iter(meter.differences(films, references))
     return [np.stack([next(found) for _ in directions], axis=-1) for directions, _ in probes]
-
-
-def signatures_of(
-    effects: Iterable[Effect], films: Iterable[Film], meter: TileMeter
-) -> dict[str, tuple[Signature, ...]]:
-    """Return the signatures of effects by name; films are taken one at a time."""
-    optical = [effect for effect in effects if effect.image is not None]
-    blocks: dict[str, list[list[FloatArray]]] = {effect.name: [] for effect in optical}
-    for film in films:
-        for effect in optical:
-            blocks[effect.name].append(signature_blocks(effect, film, meter))
-    return {
-        effect.name: tuple(
-            Signature(directions, shape, tuple(one[number] for one in blocks[effect.name]))
-            for number, (directions, shape) in enumerate(probes_of(effect))
-        )
-        for effect in optical
-    }
 
 
 def camera_nuisances(films: Iterable[Film], meter: TileMeter) -> tuple[CameraNuisance, ...]:
@@ -231,6 +221,17 @@ def camera_nuisances(films: Iterable[Film], meter: TileMeter) -> tuple[CameraNui
     )
 
 
+class _Part(NamedTuple):
+    """The columns of a signature of an effect, the variances of its sizes that the model's error
+    gives, and what its freedom takes from its gain."""
+
+    name: str
+    signature: Signature
+    columns: slice
+    spurious: FloatArray
+    penalty: float
+
+
 class OpticalSearch:
     """Scores optical effects on the images of one set of trajectories.
 
@@ -243,9 +244,6 @@ class OpticalSearch:
         changes: (F, T, 6) of each trajectory, `contact_change` of its prediction.
         spurious: variances of the sizes that the model's error gives effects, as
             `spurious_variances` of trajectories without any effect returns them; None for none.
-
-    Raises:
-        ValueError: no effect, or blocks that are not one for each trajectory.
     """
 
     def __init__(
@@ -256,48 +254,30 @@ class OpticalSearch:
         changes: Sequence[FloatArray],
         spurious: Spurious | None = None,
     ) -> None:
-        listed = [(name, one) for name, several in signatures.items() for one in several]
-        if not listed:
-            raise ValueError("no optical effect to score")
-        for name, blocks in [
-            *((name, one.blocks) for name, one in listed),
-            *((n.name, n.blocks) for n in nuisances),
-        ]:
-            if len(blocks) != len(changes):
-                raise ValueError(
-                    f"{name}: {len(blocks)} trajectories, expected {len(changes)} as predicted"
-                )
         self._noise, self._changes = noise, tuple(changes)
-        self._owners = tuple(name for name, _ in listed)
-        self._signatures = tuple(one for _, one in listed)
-        ends = np.cumsum([len(one.directions) for one in self._signatures])
-        starts = np.concatenate([[0], ends[:-1]])
-        self._slices = tuple(slice(a, b) for a, b in zip(starts, ends, strict=True))
-        self._names = tuple(signatures)
-        self._probe_count = {name: len(several) for name, several in signatures.items()}
-        self._raw = self._whitened([one.blocks for one in self._signatures])
+        self._parts: list[_Part] = []
+        end = 0
+        for name, several in signatures.items():
+            for number, one in enumerate(several):
+                count = len(one.directions)
+                begin, end = end, end + count
+                known = np.zeros(count) if spurious is None else spurious[name][number]
+                penalty = 2.0 * count + 2.0 * math.log(len(several))
+                self._parts.append(_Part(name, one, slice(begin, end), known, penalty))
+        self._raw = self._whitened([part.signature.blocks for part in self._parts])
         self._nuisances = self._whitened([tuple(b[..., None] for b in n.blocks) for n in nuisances])
         self._deviations = np.array([n.deviation for n in nuisances])
         self._ends = np.concatenate([[0], np.cumsum([change.size for change in self._changes])])
         self._free = _without(self._nuisances, self._deviations)
         self._columns = self._free(self._raw)
         self._gram = self._columns.T @ self._columns
-        numbers = Counter[str]()
-        self._spurious = []
-        for name, one in zip(self._owners, self._signatures, strict=True):
-            known = None if spurious is None else spurious[name][numbers[name]]
-            self._spurious.append(np.zeros(len(one.directions)) if known is None else known)
-            numbers[name] += 1
 
     def _whitened(self, blocks: Sequence[Sequence[FloatArray]]) -> FloatArray:
         """Return (N, P) of several sets of blocks (F, T, 6, p), side by side."""
-        rows = []
-        for number, change in enumerate(self._changes):
-            if not blocks:
-                rows.append(np.empty((change.size, 0)))
-                continue
-            values = np.concatenate([one[number] for one in blocks], axis=-1)
-            rows.append(self._noise.whiten(values, change))
+        rows = [
+            self._noise.whiten(np.concatenate(values, axis=-1), change)
+            for change, *values in zip(self._changes, *blocks, strict=True)
+        ]
         return np.concatenate(rows)
 
     def whitened(self, residual: Sequence[FloatArray]) -> FloatArray:
@@ -308,11 +288,10 @@ class OpticalSearch:
         """Return how far apart two sizes of the only signature are: the square of it, over what
         noise and the model's error leave of it.
         """
-        ((signature, part, variance),) = zip(
-            self._signatures, self._slices, self._spurious, strict=True
-        )
-        steps = np.array([(values[d.name] - others[d.name]) / d.step for d in signature.directions])
-        return float(steps @ _weight(self._gram[part, part], variance) @ steps)
+        (part,) = self._parts
+        directions = part.signature.directions
+        steps = np.array([(values[d.name] - others[d.name]) / d.step for d in directions])
+        return float(steps @ _weight(self._gram, part.spurious) @ steps)
 
     def score(self, residual: Sequence[FloatArray]) -> list[EffectScore]:
         """Return the scores of all effects, best first.
@@ -322,7 +301,7 @@ class OpticalSearch:
         """
         whitened = self.whitened(residual)
         beyond = float(whitened @ whitened) - len(whitened)
-        return self._scores(self._gram, self._columns.T @ whitened, beyond, self._spurious)
+        return self._scores(self._gram, self._columns.T @ whitened, beyond)
 
     def products(self, residual: Sequence[FloatArray]) -> FloatArray:
         """Return (K, M, M) the products of signatures, nuisances and residual of each trajectory:
@@ -351,7 +330,7 @@ class OpticalSearch:
         across = products[nuisances][:, kept]
         left = products[np.ix_(kept, kept)] - across.T @ np.linalg.pinv(square) @ across
         # How many numbers there are plays no part in sizes.
-        return self._scores(left[:-1, :-1], left[:-1, -1], float(left[-1, -1]), self._spurious)
+        return self._scores(left[:-1, :-1], left[:-1, -1], float(left[-1, -1]))
 
     def spurious_variances(self, residuals: Sequence[FloatArray]) -> Spurious:
         """Return the variances of the sizes that effects seem to have where there is none.
@@ -364,11 +343,13 @@ class OpticalSearch:
         # Each trajectory by itself, and all together: an error that all share shows there.
         right, square = map(np.array, zip(*alone, whole, strict=True))
         variance = _variance_beyond(right, square)
-        found: dict[str, list[FloatArray]] = {name: [] for name in self._names}
-        for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
-            least = [LEAST_SPURIOUS * (d.high - d.low) / d.step for d in signature.directions]
-            found[name].append(np.maximum(variance[part], np.square(least)))
-        return {name: tuple(several) for name, several in found.items()}
+        found: dict[str, list[FloatArray]] = {}
+        for part in self._parts:
+            directions = part.signature.directions
+            least = [LEAST_SPURIOUS * (d.high - d.low) / d.step for d in directions]
+            own = np.maximum(variance[part.columns], np.square(least))
+            found.setdefault(part.name, []).append(own)
+        return found
 
     def _alone(self, number: int, residuals: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Return the products of the columns with one trajectory's residual, and their squares,
@@ -390,11 +371,11 @@ class OpticalSearch:
         freedom = self._noise.trajectory_count
         draws /= np.sqrt(random.chisquare(freedom, (count, 1)) / freedom)
         # Noise over its own deviation has this distribution whatever part of it is the model's.
-        gain = {name: np.zeros(count) for name in self._names}
-        statistic = {name: np.zeros(count) for name in self._names}
-        for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
-            gram, right = self._gram[part, part], draws[:, part]
-            if float(np.sqrt(np.diag(gram).max())) < LEAST_NORM:
+        gain = {part.name: np.zeros(count) for part in self._parts}
+        statistic = {part.name: np.zeros(count) for part in self._parts}
+        for name, signature, columns, _, penalty in self._parts:
+            gram, right = self._gram[columns, columns], draws[:, columns]
+            if not _is_excited(gram):
                 continue
             bounds = [d.bounds() for d in signature.directions]
             if len(bounds) == 1:
@@ -405,94 +386,83 @@ class OpticalSearch:
             own = 2.0 * np.sum(size * right, axis=1) - square
             better = own > gain[name]
             gain[name][better] = own[better]
-            statistic[name][better] = square[better] - self._penalty(name, signature)
+            statistic[name][better] = square[better] - penalty
         return np.maximum(np.max(list(statistic.values()), axis=0), 0.0)
 
-    def threshold(self, alpha: float, *, count: int = 2000, seed: int = 0) -> float:
+    def threshold(self, alpha: float, *, seed: int = 0) -> float:
         """Return the statistic that a share alpha of data sets without any effect exceeds."""
-        return float(np.quantile(self.null_statistics(count, seed), 1.0 - alpha))
+        return float(np.quantile(self.null_statistics(THRESHOLD_DRAWS, seed), 1.0 - alpha))
 
-    def likeness(self) -> list[Likeness]:
-        """Return how alike each two effects look, the most alike first; of excited ones alone."""
+    def likeness(self) -> dict[frozenset[str], float]:
+        """Return how alike each two effects look in these data: the largest cosine, 0 to 1, between
+        their signatures; of excited ones alone."""
         bases: dict[str, list[FloatArray]] = {}
-        for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
-            basis = self._basis(part)
-            if basis.shape[1] and signature.directions:
-                bases.setdefault(name, []).append(basis)
-        found = [
-            Likeness(
-                first,
-                second,
-                max(
-                    float(np.linalg.norm(a.T @ b, ord=2))
-                    for a in bases[first]
-                    for b in bases[second]
-                ),
+        for part in self._parts:
+            left, value, _ = np.linalg.svd(self._columns[:, part.columns], full_matrices=False)
+            if np.any(value > LEAST_NORM):
+                bases.setdefault(part.name, []).append(left[:, value > LEAST_NORM])
+        return {
+            frozenset((first, second)): max(
+                float(np.linalg.norm(a.T @ b, ord=2)) for a in bases[first] for b in bases[second]
             )
             for first, second in combinations(bases, 2)
-        ]
-        return sorted(found, key=lambda one: -one.cosine)
+        }
 
-    def _basis(self, part: slice) -> FloatArray:
-        columns = self._columns[:, part]
-        left, value, _ = np.linalg.svd(columns, full_matrices=False)
-        return np.asarray(left[:, value > LEAST_NORM])
+    def alike(self, scores: Sequence[EffectScore]) -> list[str]:
+        """Return the effects that the data cannot distinguish from the best one, the best first."""
+        best, *others = scores
+        cosines = self.likeness()
 
-    def _scores(
-        self, gram: FloatArray, right: FloatArray, beyond: float, spurious: Sequence[FloatArray]
-    ) -> list[EffectScore]:
+        def separation(score: EffectScore) -> float:
+            # Of a pair without a cosine, one does not show.
+            cosine = cosines.get(frozenset((best.name, score.name)), -np.inf)
+            return best.norm * math.sqrt(max(1.0 - cosine, 0.0) / 2.0)
+
+        return [best.name, *(s.name for s in others if separation(s) < decision.APART)]
+
+    def _scores(self, gram: FloatArray, right: FloatArray, beyond: float) -> list[EffectScore]:
         """Return scores, best fit first.
 
         Args:
             gram: (P, P) products of the columns.
             right: (P,) products of the columns with a residual.
             beyond: how much the residual's square exceeds that of noise.
-            spurious: variances of the spurious sizes, of each signature.
         """
         best: dict[str, EffectScore] = {}
-        for name, signature, part, variance in zip(
-            self._owners, self._signatures, self._slices, spurious, strict=True
-        ):
-            score = self._score(name, signature, gram[part, part], right[part], beyond, variance)
-            if name not in best or score.fit > best[name].fit:
-                best[name] = score
+        for part in self._parts:
+            own = part.columns
+            score = _score(part, gram[own, own], right[own], beyond)
+            if part.name not in best or score.fit > best[part.name].fit:
+                best[part.name] = score
         return sorted(best.values(), key=lambda one: -one.fit)
 
-    def _penalty(self, name: str, signature: Signature) -> float:
-        """Return what the freedom of an effect takes from its gain."""
-        return 2.0 * len(signature.directions) + 2.0 * math.log(self._probe_count[name])
 
-    def _score(
-        self,
-        name: str,
-        signature: Signature,
-        gram: FloatArray,
-        right: FloatArray,
-        beyond: float,
-        variance: FloatArray,
-    ) -> EffectScore:
-        directions = signature.directions
-        values = {**signature.shape, **{d.name: d.none for d in directions}}
-        if float(np.sqrt(np.diag(gram).max())) < LEAST_NORM:
-            return EffectScore(name, 0.0, 0.0, 0.0, 0.0, values, False)
-        size = bounded_size(gram, right, [d.bounds() for d in directions])
-        gain = float(2.0 * size @ right - size @ gram @ size)
-        penalty = self._penalty(name, signature)
-        values |= {
-            d.name: min(max(d.none + float(s) * d.step, d.low), d.high)
-            for d, s in zip(directions, size, strict=True)
-        }
-        square = float(size @ _weight(gram, variance) @ size)
-        explained = gain / max(beyond, gain, _TINY)
-        return EffectScore(
-            name,
-            max(gain - penalty, 0.0),
-            max(square - penalty, 0.0),
-            math.sqrt(max(square, 0.0)),
-            explained,
-            values,
-            True,
-        )
+def _score(part: _Part, gram: FloatArray, right: FloatArray, beyond: float) -> EffectScore:
+    directions = part.signature.directions
+    values = {**part.signature.shape, **{d.name: d.none for d in directions}}
+    if not _is_excited(gram):
+        return EffectScore(part.name, 0.0, 0.0, 0.0, 0.0, values, False)
+    size = bounded_size(gram, right, [d.bounds() for d in directions])
+    gain = float(2.0 * size @ right - size @ gram @ size)
+    values |= {
+        d.name: min(max(d.none + float(s) * d.step, d.low), d.high)
+        for d, s in zip(directions, size, strict=True)
+    }
+    square = float(size @ _weight(gram, part.spurious) @ size)
+    return EffectScore(
+        part.name,
+        max(gain - part.penalty, 0.0),
+        max(square - part.penalty, 0.0),
+        math.sqrt(max(square, 0.0)),
+        gain / max(beyond, gain, _TINY),
+        values,
+        True,
+    )
+
+
+def _is_excited(gram: FloatArray) -> bool:
+    """Return whether the data show a signature of these products (P, P) at all."""
+    return float(np.sqrt(np.diag(gram).max())) >= LEAST_NORM
 
 
 def _weight(gram: FloatArray, variance: FloatArray) -> FloatArray:
@@ -518,18 +488,6 @@ def freed(
     whitened = np.concatenate(rows)
     deviations = np.array([n.deviation for n in nuisances])
     return _without(whitened[:, 1:], deviations)(whitened[:, 0])
-
-
-def alike(scores: Sequence[EffectScore], likeness: Iterable[Likeness]) -> list[str]:
-    """Return the effects that the data cannot distinguish from the best one, the best first."""
-    best = scores[0]
-    near = {
-        other
-        for one in likeness
-        for mine, other in ((one.first, one.second), (one.second, one.first))
-        if mine == best.name and one.separation(best.norm) < decision.APART
-    }
-    return [best.name, *(score.name for score in scores[1:] if score.name in near)]
 
 
 def _variance_beyond(right: FloatArray, square: FloatArray) -> FloatArray:

@@ -27,7 +27,6 @@ TILE_PRIOR_FRAMES = 20.0
 """Weight, in frames, of all tiles' deviation in that of one."""
 LEAST_SHARE = 0.2
 """No tile's deviation is below so much of that of all."""
-LEAST_TRAJECTORIES = 4
 
 
 @dataclass(frozen=True)
@@ -133,19 +132,11 @@ def estimate_noise(
 
     Args:
         residuals: (F, T, 6) of each trajectory, measured against predicted, that the model was not
-            fitted to.
+            fitted to; of several.
         changes: (F, T, 6) of each, `contact_change`.
         camera: (T, 6) deviation by the camera's noise.
         centre_px: (T, 2) of the tiles.
-
-    Raises:
-        ValueError: fewer than four trajectories.
     """
-    if len(residuals) < LEAST_TRAJECTORIES:
-        raise ValueError(
-            f"{len(residuals)} trajectories are too few to estimate a model's error, expected "
-            f"{LEAST_TRAJECTORIES} at least that nothing was fitted to"
-        )
     total, growth = _variances(np.concatenate(residuals), np.concatenate(changes))
     model = np.sqrt(np.maximum(total - camera**2, 0.0))
     identity = tuple(Correlation(1.0, 1.0, 1.0) for _ in NAMES)

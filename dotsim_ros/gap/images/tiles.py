@@ -107,7 +107,7 @@ def tile_grid(lit: BoolArray, *, columns: int = 8, rows: int = 6) -> TileGrid:
 
 
 @dataclass(frozen=True)
-class _Reference:
+class TileReference:
     """What comparing with one reference takes that the image does not enter.
 
     Attributes:
@@ -132,20 +132,10 @@ class TileMeter:
     Args:
         grid: the tiles.
         idle: (H, W, 3) the frame whose sharpness is 1.
-
-    Raises:
-        ValueError: the idle frame has another size than the grid.
     """
 
     grid: TileGrid
     idle: FloatArray
-
-    def __post_init__(self) -> None:
-        if self.idle.shape != (*self.grid.tile.shape, 3):
-            raise ValueError(
-                f"idle frame of shape {self.idle.shape}, expected {(*self.grid.tile.shape, 3)} as "
-                "the tiles"
-            )
 
     def colour(self, images: NDArray[np.generic]) -> FloatArray:
         """Return (F, T, 3) mean colours, levels, of images (F, H, W, 3)."""
@@ -160,38 +150,16 @@ class TileMeter:
     def difference(
         self, images: NDArray[np.generic], references: NDArray[np.generic]
     ) -> FloatArray:
-        """Return (F, T, 6) the observables `NAMES` of images against references.
-
-        Args:
-            images, references: (F, H, W, 3).
-
-        Raises:
-            ValueError: their shapes differ from each other or from the grid.
-        """
-        return self.differences([images], references)[0]
+        """Return (F, T, 6) the observables `NAMES` of images against references, (F, H, W, 3)."""
+        return self.differences([images], self.references(references))[0]
 
     def differences(
-        self, several: Sequence[NDArray[np.generic]], references: NDArray[np.generic]
+        self, several: Sequence[NDArray[np.generic]], references: Sequence[TileReference]
     ) -> list[FloatArray]:
-        """Return `difference` of several films against one, in less time than one by one.
-
-        Args:
-            several: each (F, H, W, 3).
-            references: (F, H, W, 3).
-
-        Raises:
-            ValueError: as `difference`.
-        """
-        for images in several:
-            if images.shape != references.shape or images.shape[1:] != self.idle.shape:
-                raise ValueError(
-                    f"images of shape {images.shape} against {references.shape}, expected (F, "
-                    f"{', '.join(map(str, self.idle.shape))}) of both"
-                )
+        """Return `difference` of several films, (F, H, W, 3) each, against F references."""
         rest = self._detail(_smooth_grey(self.idle))
         results = [np.empty((len(references), len(self.grid), len(NAMES))) for _ in several]
-        for frame, image in enumerate(references):
-            reference = self._reference(image)
+        for frame, reference in enumerate(references):
             for images, result in zip(several, results, strict=True):
                 grey = _smooth_grey(images[frame])
                 products = reference.terms * (grey - reference.grey)[..., None]
@@ -201,7 +169,11 @@ class TileMeter:
                 result[frame, :, SHIFTS] = motion
         return results
 
-    def _reference(self, image: NDArray[np.generic]) -> _Reference:
+    def references(self, images: NDArray[np.generic]) -> list[TileReference]:
+        """Return what comparing with images (F, H, W, 3) takes, to be used several times."""
+        return [self._reference(image) for image in images]
+
+    def _reference(self, image: NDArray[np.generic]) -> TileReference:
         grey = _smooth_grey(image)
         slope_y, slope_x = np.gradient(grey)
         # What moves by d looks at x - d: the difference is -d . gradient.
@@ -209,7 +181,7 @@ class TileMeter:
         normal = self.grid.mean(terms[..., :, None] * terms[..., None, :])
         # A tile without texture does not identify a motion: none is found there.
         inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-9), dtype=np.float64)
-        return _Reference(self.grid.mean(image), grey, self._detail(grey), terms, inverse[:, :2])
+        return TileReference(self.grid.mean(image), grey, self._detail(grey), terms, inverse[:, :2])
 
     def _detail(self, smooth_grey: FloatArray) -> FloatArray:
         """Return (T,) the deviation of the Laplacian of a smoothed grey image (H, W)."""
@@ -225,16 +197,8 @@ class TileMeter:
         `NOISE_PRIOR_IMAGES` images: of a few images alone it would be off by a third.
 
         Args:
-            repeats: (N, H, W, 3) of one scene.
-
-        Raises:
-            ValueError: fewer than two images.
+            repeats: (N, H, W, 3) of one scene, two at least.
         """
-        if len(repeats) < 2:
-            raise ValueError(
-                f"noise from {len(repeats)} images, expected two at least of the same scene; "
-                "record several idle images"
-            )
         mean = repeats.mean(axis=0, dtype=np.float64)
         found = self.difference(repeats, np.broadcast_to(mean, repeats.shape))
         # A mean of noisy images has less detail than any of them: spread, not distance.

@@ -34,19 +34,6 @@ SMALL_SHARE = 0.08
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """What would be named if more bootstrap repetitions over trajectories asked for it.
-
-    Attributes:
-        effects: one, those of a set, or two that would act together.
-        are_two: whether they would act together.
-    """
-
-    effects: tuple[Ranked, ...]
-    are_two: bool = False
-
-
-@dataclass(frozen=True)
 class Decision:
     """What the rule decides.
 
@@ -54,14 +41,17 @@ class Decision:
         verdict: the answer.
         named: effects to add.
         alternatives: those not distinguished from the first.
-        doubt: what is not named for want of repetitions that ask for it.
+        doubted: what would be named if more bootstrap repetitions over trajectories asked for it:
+            one effect, those of a set, or two that would act together.
+        are_two: whether the latter.
         stability: share of the repetitions that give what is named, or would be; None without.
     """
 
     verdict: Verdict
     named: tuple[Ranked, ...] = ()
     alternatives: tuple[Ranked, ...] = ()
-    doubt: Doubt | None = None
+    doubted: tuple[Ranked, ...] = ()
+    are_two: bool = False
     stability: float | None = None
 
 
@@ -114,7 +104,7 @@ def answer_of(
     decided = Decision(Verdict.NO_GAP)
     if is_effect or pattern_gain(search) > pattern_threshold:
         decided = _decide(search, ranked)
-    nearest = decided.named or (decided.doubt.effects if decided.doubt else ranked)
+    nearest = decided.named or decided.doubted or ranked
     first = max(nearest, key=lambda entry: entry.trial.gain / entry.limit)
     scale = first.limit / threshold
     p_value = float(np.mean(scale * gains >= first.trial.gain))
@@ -256,7 +246,7 @@ def _decide(search: Search, ranked: list[Ranked]) -> Decision:
                 return _two(search, pair, stability)
             # Two that too few repetitions ask for are one, and what its law is off by.
             doubted = Decision(
-                Verdict.UNKNOWN, doubt=Doubt(tuple(pair), are_two=True), stability=stability
+                Verdict.UNKNOWN, doubted=tuple(pair), are_two=True, stability=stability
             )
     close = [entry for entry in able if entry.trial.gain > best.trial.gain - decision.SAME]
     # One that asks for a size beyond its range is a symptom; what explains as much may stand.
@@ -267,7 +257,7 @@ def _decide(search: Search, ranked: list[Ranked]) -> Decision:
     contest = [entry for entry in ranked if entry not in close or entry in possible]
     stability = stability_of(search, contest, [named], alternatives)
     if stability < decision.LIKELY:
-        return Decision(Verdict.UNKNOWN, doubt=Doubt(tuple(possible)), stability=stability)
+        return Decision(Verdict.UNKNOWN, doubted=tuple(possible), stability=stability)
     verdict = Verdict.SET if alternatives else Verdict.NAMED
     return Decision(verdict, (named,), tuple(alternatives), stability=stability)
 
@@ -276,7 +266,7 @@ def _two(search: Search, pair: Sequence[Ranked], stability: float) -> Decision:
     """Return whether two effects can be named together."""
     first, second = pair
     is_implausible = any(
-        size_beyond_range(search, entry, beside=other) is not None
+        size_beyond_range(search, entry, other) is not None
         for entry, other in ((first, second), (second, first))
     )
     if is_implausible or _explained(search, pair) < decision.EXPLAINED:
@@ -284,19 +274,19 @@ def _two(search: Search, pair: Sequence[Ranked], stability: float) -> Decision:
     return Decision(Verdict.NAMED, tuple(pair), stability=stability)
 
 
-def size_beyond_range(search: Search, entry: Ranked, beside: Ranked | None = None) -> float | None:
+def size_beyond_range(search: Search, entry: Ranked, other: Ranked | None = None) -> float | None:
     """Return the size beyond its plausible range that the data ask an effect for, None where they
     are explained as well within.
 
     Args:
         search: the case.
         entry: the effect, as it was found within its range.
-        next to: another one that acts, too.
+        other: another one that acts, too; None for none.
     """
     end = entry.end
     if end is None:
         return None
-    evidence = search.evidence if beside is None else search.evidence.without(beside.trial.change)
+    evidence = search.evidence if other is None else search.evidence.without(other.trial.change)
     variant = entry.trial.variant
     above = end > variant.absent
     outermost = search.segments([variant])[-1 if above else 0]
@@ -327,7 +317,7 @@ def _left(search: Search, entries: Sequence[Ranked]) -> float:
     own = _fit_of(evidence, entries).objective
     widened = evidence.with_nuisances(search.pattern_columns)
     everything = _fit_by_channel(widened, _by_channel(search, entries)).objective
-    # What patterns remove of noise alone is no gap.
+    # What patterns remove of noise alone is not a gap.
     by_patterns = own - everything - search.pattern_chance
     misfit = own - search.misfit_limit * len(evidence.residual)
     return max(by_patterns, misfit, 0.0)

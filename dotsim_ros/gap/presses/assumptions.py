@@ -14,12 +14,13 @@ import numpy as np
 from dotsim_ros.calibration.parameters import PARAMETERS, with_coordinates
 from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import Active, Effect
-from dotsim_ros.effects.simulate import EffectRequest, request_of
+from dotsim_ros.effects.simulate import EffectRequest
 from dotsim_ros.gap.presses.observables import PATCH_COUNT
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.io.arrays import FloatArray
 
 SHIFT_STEP_M = 0.1e-3
+SHIFTS_M = ((SHIFT_STEP_M, 0.0, 0.0), (0.0, SHIFT_STEP_M, 0.0), (0.0, 0.0, SHIFT_STEP_M))
 STEPS = {"nu": 0.2, "friction": 0.2, "c20": 0.08}
 """Steps of the finite differences, in the parameters' coordinates: of the size of the priors."""
 TOLERANCES = {
@@ -110,42 +111,41 @@ def nuisance_requests(
     recording: Recording, values: GelValues, library: Mapping[str, Effect]
 ) -> list[EffectRequest]:
     """Return what must be simulated for the columns of a trajectory, the twin as it is first."""
-    result = [request_of(recording, values)]
+    result = [EffectRequest(recording, values)]
     for name, step in STEPS.items():
         parameter = PARAMETERS[name]
         at = parameter.to_coordinate(getattr(values, parameter.field))
         moved = with_coordinates(values, [parameter], np.array([at + step]))
-        result.append(request_of(recording, moved))
-    result += [
-        request_of(recording, values, shift_m=axis.tolist()) for axis in SHIFT_STEP_M * np.eye(3)
-    ]
+        result.append(EffectRequest(recording, moved))
+    result += [EffectRequest(recording, values, shift_m=shift_m) for shift_m in SHIFTS_M]
     for name, parameters in TOLERANCES.values():
-        effect = library[name]
-        active = Active(effect, effect.checked(parameters))
-        result.append(request_of(recording, values, effects=[active]))
+        active = Active(library[name], library[name].checked(parameters))
+        result.append(EffectRequest(recording, values, effects=[active]))
     return result
+
+
+_STEPS_OF_REQUESTS = {
+    **STEPS,
+    **dict.fromkeys(("shift_x", "shift_y", "shift_z"), SHIFT_STEP_M),
+    **{name: next(iter(parameters.values())) for name, (_, parameters) in TOLERANCES.items()},
+}
+"""The step of each request of `nuisance_requests` after the first, by nuisance."""
 
 
 def nuisance_columns(
     nuisances: Sequence[PressNuisance], observed: Sequence[FloatArray], *, is_reference: bool
 ) -> list[FloatArray]:
-    """Return what one deviation of each nuisance does to the observables (F, SIZE)."""
-    base = observed[0]
-    force_alone = base.copy()
-    force_alone[:, : 3 * PATCH_COUNT] = np.where(
-        np.isfinite(base[:, : 3 * PATCH_COUNT]), 0.0, np.nan
-    )
+    """Return what one deviation of each nuisance does to the observables (F, SIZE), from those of
+    `nuisance_requests`."""
+    base, *others = observed
     slopes = {
-        "E": force_alone,
-        "E_since": force_alone,
+        name: (moved - base) / step
+        for (name, step), moved in zip(_STEPS_OF_REQUESTS.items(), others, strict=True)
     }
-    for place, (name, step) in enumerate(STEPS.items()):
-        slopes[name] = (observed[1 + place] - base) / step
-    for axis, name in enumerate(("shift_x", "shift_y", "shift_z")):
-        slopes[name] = (observed[4 + axis] - base) / SHIFT_STEP_M
-    for place, (name, (_, parameters)) in enumerate(TOLERANCES.items()):
-        step = next(iter(parameters.values()))
-        slopes[name] = (observed[7 + place] - base) / step
+    force_alone = base.copy()
+    skin = slice(3 * PATCH_COUNT)
+    force_alone[:, skin] = np.where(np.isfinite(base[:, skin]), 0.0, np.nan)
+    slopes["E"] = slopes["E_since"] = force_alone
     # What is late in one data set alone does the same as what is late in all.
     slopes["clock"] = slopes["delay"]
     result = []
@@ -162,17 +162,3 @@ def centred(
 ) -> tuple[PressNuisance, ...]:
     """Return nuisances about the means of a bias, by name."""
     return tuple(replace(n, mean=bias.get(n.name, n.mean)) for n in nuisances)
-
-
-def values_after(
-    values: GelValues, nuisances: Sequence[PressNuisance], moved: FloatArray
-) -> GelValues:
-    """Return the gel with its constants moved by (q,) deviations from their means."""
-    for nuisance, deviations in zip(nuisances, moved.tolist(), strict=True):
-        if nuisance.name not in GEL_CONSTANTS:
-            continue
-        parameter = PARAMETERS[nuisance.name]
-        at = parameter.to_coordinate(getattr(values, parameter.field))
-        place = np.array([at + nuisance.mean + deviations * nuisance.deviation])
-        values = with_coordinates(values, [parameter], place)
-    return values

@@ -19,7 +19,6 @@ from dotsim_ros.gap.presses.evidence import Segment
 from dotsim_ros.gap.presses.inference import Evidence, cosines, fit_nuisances, lengths
 from dotsim_ros.gap.presses.screening import Screen
 from dotsim_ros.gap.presses.search_state import Ranked, Search
-from dotsim_ros.gap.resampling import Contest, stability
 from dotsim_ros.io.arrays import FloatArray
 
 CHI_SQUARE = 3.84
@@ -137,7 +136,7 @@ def stability_of(
             segments.append(segment)
             owners.append(entry)
 
-    def contested(entry: Ranked) -> Contest:
+    def contested(entry: Ranked) -> decision.Contest:
         others = [other for other in named if other is not entry]
         taken = _names(others)
         evidence = search.evidence
@@ -155,7 +154,7 @@ def stability_of(
 
         return winner, {entry.effect.name, *_names(alternatives)}
 
-    return stability([contested(entry) for entry in named], search.bootstraps)
+    return decision.stability([contested(entry) for entry in named], search.bootstraps)
 
 
 def _names(entries: Sequence[Ranked]) -> set[str]:

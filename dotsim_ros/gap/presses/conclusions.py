@@ -13,7 +13,7 @@ from dotsim_ros.calibration.parameters import PARAMETERS
 from dotsim_ros.data.measurement import Measurement
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
-from dotsim_ros.effects.simulate import request_of
+from dotsim_ros.effects.simulate import EffectRequest
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict, candidate_of
 from dotsim_ros.gap.presses.answer import (
@@ -22,7 +22,7 @@ from dotsim_ros.gap.presses.answer import (
     size_beyond_range,
     sizes_by_channel,
 )
-from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS, values_after
+from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS
 from dotsim_ros.gap.presses.certainty import close_pairs
 from dotsim_ros.gap.presses.evidence import Case
 from dotsim_ros.gap.presses.inference import Fit, fit_nuisances
@@ -30,15 +30,15 @@ from dotsim_ros.gap.presses.locate import (
     Closed,
     Residuals,
     channel_gaps,
+    frame_of,
     places_of_gap,
     residuals_of,
     share_closed,
-    worst_frame,
+    worst_place,
 )
-from dotsim_ros.gap.presses.made_up import made_up
+from dotsim_ros.gap.presses.made_up import no_gap_sentence
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
 from dotsim_ros.gap.report import wording
-from dotsim_ros.gel.values import GelValues
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.twin.follow import SolveError
 
@@ -47,10 +47,11 @@ def findings_of(
     search: Search,
     measurement: Measurement,
     reference: Measurement | None,
-    *,
     answer: SearchAnswer,
     silent: Sequence[str],
 ) -> tuple[Findings, Overlay | None]:
+    """Return what was found, and the overlay if an effect was named; the effects of the names in
+    `silent` are those that the data do not excite."""
     case, request = search.case, search.request
     measured = [k for k, t in enumerate(case.trajectories) if not t.is_reference]
     judged = search.held_out or measured
@@ -64,51 +65,43 @@ def findings_of(
         if closed is None:
             search.warnings.append("the held-out trajectories show no gap that could be closed")
         elif search.held_out and leaves_open(closed):
-            # What explains the searched trajectories alone is no explanation.
+            # What explains the searched trajectories alone is not an explanation.
             left_open, closed = closed.share, None
             nearest = list(decided.named)
             decided = Decision(Verdict.UNKNOWN)
             residuals, refitted = _with_effects(search, [])
     named, verdict = decided.named, decided.verdict
-    doubt, stability = decided.doubt, decided.stability
-    told = [(entry.effect, entry.estimates) for entry in named]
-    search.warnings += wording.certainty_warnings("", stability if named else None, told)
-    worst = worst_frame(
-        case,
-        residuals,
-        measured,
-        lambda number: _skins(search, number, named),
-        measurement.skin.rest_position_m,
+    estimated = [(entry.effect, entry.estimates) for entry in named]
+    search.warnings += wording.certainty_warnings(
+        "", decided.stability if named else None, estimated
     )
-    shared = case.shared_nuisances()
+    place, worst = worst_place(residuals, measured), None
+    if place is not None:
+        worst = frame_of(case, residuals, *place, _skins(search, place[0], named))
     fallback: tuple[ChannelGap, ...] = ()
-    is_unknown = verdict is Verdict.UNKNOWN
-    alone = len(nearest) == 1
-    if is_unknown:
+    if verdict is Verdict.UNKNOWN:
         fallback = channel_gaps(_fallback(search), judged)
-    fitted = values_after(case.values, shared, refitted.nuisance[: len(shared)])
     gaps = channel_gaps(residuals, judged)
     places = places_of_gap(case, residuals, measured, search.random)
-    beyond = size_beyond_range(search, nearest[0]) if is_unknown and alone else None
-    facts = wording.Facts(
-        named=told,
-        alternatives=[e.effect for e in decided.alternatives],
-        gaps=gaps,
-        nearest=[e.effect for e in nearest],
-        sizes=sizes_by_channel(search, nearest[0]) if is_unknown and alone else None,
-        beyond=None if beyond is None else (nearest[0].effect.parameters[0], beyond),
-        left_open=left_open,
-        doubted=""
-        if doubt is None
-        else wording.amid_all([e.effect for e in doubt.effects], are_two=doubt.are_two),
-        stability=stability,
-        place=wording.largest_place(places),
-        is_held_out=bool(search.held_out),
-        made_up=made_up(search, gaps) if verdict is Verdict.NO_GAP else None,
-    )
+    where = wording.largest_place(places)
+    if verdict is Verdict.NO_GAP:
+        sentence = no_gap_sentence(search, gaps)
+    elif decided.doubted:
+        sentence = wording.not_decided(
+            [e.effect for e in decided.doubted],
+            are_two=decided.are_two,
+            stability=decided.stability or 0.0,
+            place=where,
+        )
+    elif verdict is Verdict.UNKNOWN:
+        reasons = _reasons(search, nearest, left_open)
+        sentence = wording.unknown(where, [e.effect for e in nearest], reasons)
+    else:
+        alternatives = [e.effect for e in decided.alternatives]
+        sentence = wording.missing(estimated, alternatives, gaps, is_held_out=bool(search.held_out))
     findings = Findings(
         verdict=verdict,
-        sentence=wording.sentence(verdict, facts),
+        sentence=sentence,
         named=tuple(e.effect.name for e in named),
         alternatives=tuple(e.effect.name for e in decided.alternatives),
         statistic=answer.statistic,
@@ -117,14 +110,14 @@ def findings_of(
         p_value=answer.p_value,
         mode="absolute" if reference is None else "differential",
         candidates=_candidates(search, ranked, silent),
-        calibrated=_calibrated(case, fitted, refitted),
+        calibrated=_calibrated(case, refitted),
         places=places,
         gaps=gaps,
         share_closed=None if closed is None else closed.share,
         share_closed_low=None if closed is None else closed.low,
         share_closed_high=None if closed is None else closed.high,
         fallback=fallback,
-        stability=stability,
+        stability=decided.stability,
         pairs=close_pairs(search, ranked),
         worst=worst,
         warnings=tuple(search.warnings),
@@ -141,6 +134,21 @@ def findings_of(
         tuple(FoundEffect(e.effect.name, e.estimates) for e in named),
     )
     return findings, overlay
+
+
+def _reasons(search: Search, nearest: Sequence[Ranked], left_open: float | None) -> list[str]:
+    """Return why what comes nearest to a gap does not explain it: one effect, or two that act
+    together, which leave a share of the held-out trajectories' gap open."""
+    beyond, sizes = None, None
+    if len(nearest) == 1:
+        beyond = size_beyond_range(search, nearest[0])
+        sizes = sizes_by_channel(search, nearest[0])
+    parameter = nearest[0].effect.parameters[0]
+    return [
+        *([] if beyond is None else [wording.asked("data", parameter, beyond)]),
+        *([] if left_open is None else [wording.left_open(len(nearest), left_open)]),
+        *([] if sizes is None else [wording.disagreeing(parameter, *sizes)]),
+    ]
 
 
 def leaves_open(closed: Closed) -> bool:
@@ -195,18 +203,17 @@ def _fallback(search: Search) -> Residuals:
     )
 
 
-def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate, ...]:
+def _calibrated(case: Case, refitted: Fit) -> tuple[Estimate, ...]:
     """Return the nuisances as fitted; the range is that of their priors."""
     result = []
-    for (nuisance, _), name, moved in zip(
-        case.columns(), case.column_names(), refitted.nuisance.tolist(), strict=True
-    ):
+    for (nuisance, name, _), moved in zip(case.columns(), refitted.nuisance.tolist(), strict=True):
         reach = 1.96 * nuisance.deviation
         if nuisance.name in GEL_CONSTANTS:
             parameter = PARAMETERS[nuisance.name]
             at = parameter.to_coordinate(getattr(case.values, parameter.field)) + nuisance.mean
             ends = sorted(parameter.to_value(at + side * reach) for side in (-1.0, 1.0))
-            value = float(getattr(fitted, parameter.field))
+            value = parameter.to_value(at + moved * nuisance.deviation)
+            value = float(np.clip(value, *parameter.bounds))
             result.append(Estimate(name, parameter.unit, value, ends[0], ends[1]))
         else:
             value = nuisance.mean + moved * nuisance.deviation
@@ -218,13 +225,15 @@ def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate,
 def _skins(
     search: Search, number: int, named: Sequence[Ranked]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the skins (F, V, 3) of a trajectory without and with the effects, None where the gel
-    could not be solved."""
+    """Return the skins (F, V, 3) of a trajectory without and with the effects, None where none was
+    measured, and where the gel could not be solved."""
     recording = search.case.trajectories[number].recording
+    if recording.press.skin_position_m is None:
+        return None
     effects = [
         Active(e.effect, e.effect.checked(e.trial.variant.values(e.trial.size))) for e in named
     ]
-    requests = [request_of(recording, search.case.values, effects=e) for e in ((), effects)]
+    requests = [EffectRequest(recording, search.case.values, effects=e) for e in ((), effects)]
     try:
         without, with_effects = search.case.solver.run(requests)
     except SolveError as error:

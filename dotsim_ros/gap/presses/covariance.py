@@ -141,7 +141,7 @@ def fit_discrepancy(
         source: what the presses are, in words.
 
     Raises:
-        ValueError: none of them is deep enough to tell.
+        ValueError: none of them is deep enough.
     """
     between = np.zeros((SIZE, SIZE))
     within = np.zeros((SIZE, SIZE))

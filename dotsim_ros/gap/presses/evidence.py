@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
-from dotsim_ros.effects.simulate import EffectSolver, request_of
+from dotsim_ros.effects.simulate import EffectRequest, EffectSolver
 from dotsim_ros.gap.presses.assumptions import (
     OWN,
     PressNuisance,
@@ -120,6 +122,15 @@ class Segment:
         return replace(self, offset=self.offset[rows], column=self.column[rows])
 
 
+class Column(NamedTuple):
+    """A nuisance of the evidence, its name there, and the data that it belongs to: those of the
+    reference, those of the others, None for both."""
+
+    nuisance: PressNuisance
+    name: str
+    of_reference: bool | None
+
+
 @dataclass
 class Case:
     """A measured data set, with a reference or without, ready to be searched.
@@ -144,7 +155,7 @@ class Case:
         """Return the evidence of some trajectories."""
         parts = [self.trajectories[t] for t in chosen]
         columns = [self._nuisance_columns(t) for t in parts]
-        centre = np.array([nuisance.centre for nuisance, _ in self.columns()])
+        centre = np.array([column.nuisance.centre for column in self.columns()])
         residual = [
             t.whitening.whiten(t.observed - t.predicted) - column @ centre
             for t, column in zip(parts, columns, strict=True)
@@ -152,31 +163,22 @@ class Case:
         number = np.repeat(np.arange(len(parts)), [len(r) for r in residual])
         return Evidence(np.concatenate(residual), np.concatenate(columns), number)
 
-    def columns(self) -> list[tuple[PressNuisance, bool | None]]:
-        """Return the evidence's nuisances, in order, with the data that each belongs to: those of
-        the reference, those of the others, None for both."""
+    def columns(self) -> list[Column]:
+        """Return the evidence's nuisances, in order."""
         own = [n for n in self.nuisances if n.belongs == OWN]
         return [
-            *((n, None) for n in self.nuisances if n.belongs != OWN),
-            *((n, True) for n in own),
-            *((n, False) for n in own),
+            *(Column(n, n.name, None) for n in self.nuisances if n.belongs != OWN),
+            *(Column(n, f"{n.name} (reference)", True) for n in own),
+            *(Column(n, n.name, False) for n in own),
         ]
-
-    def column_names(self) -> list[str]:
-        """Return the names of the evidence's nuisances."""
-        return [n.name + (" (reference)" if whose else "") for n, whose in self.columns()]
-
-    def shared_nuisances(self) -> list[PressNuisance]:
-        """Return those that come first in the evidence: of the unit, not of a data set."""
-        return [n for n, whose in self.columns() if whose is None]
 
     def _column_numbers(self, t: EvidenceTrajectory) -> list[int | None]:
         """Return which of a trajectory's nuisances each column of the evidence is, None for those
         of other data."""
         place = {n.name: k for k, n in enumerate(self.nuisances)}
         return [
-            place[n.name] if whose in (None, t.is_reference) else None
-            for n, whose in self.columns()
+            place[column.nuisance.name] if column.of_reference in (None, t.is_reference) else None
+            for column in self.columns()
         ]
 
     def _nuisance_columns(self, t: EvidenceTrajectory) -> FloatArray:
@@ -235,16 +237,16 @@ class Case:
         """Return as `change_at`, the nodes next to the size simulated where they were not, and what
         could not be solved."""
         right = _node_after(variant, size)
-        missing = [
-            (place, [number for number, one in enumerate(variant.change[place]) if one is None])
-            for place in (right - 1, right)
-        ]
-        found, failures = self._simulate(
-            [(variant, variant.node[place], numbers) for place, numbers in missing]
+        failures = self._fill(
+            [
+                (
+                    variant,
+                    variant.node[k],
+                    [n for n, one in enumerate(variant.change[k]) if one is None],
+                )
+                for k in (right - 1, right)
+            ]
         )
-        for (place, numbers), changes in zip(missing, found, strict=True):
-            for number, one in zip(numbers, changes, strict=True):
-                variant.change[place][number] = one
         change = [one for one in self.change_at(variant, size) if one is not None]
         return change, failures
 
@@ -270,14 +272,9 @@ class Case:
 
     def variants(self, effect: Effect) -> list[Variant]:
         """Return the variants of an effect, with the absent effect as their only node."""
-        shapes: list[dict[str, float]] = [{}]
-        for parameter in effect.parameters[1:]:
-            shapes = [
-                {**shape, parameter.name: value} for shape in shapes for value in parameter.probes
-            ]
         nothing = [np.zeros_like(t.predicted) for t in self.trajectories]
         result = []
-        for shape in shapes:
+        for shape in shapes_of(effect):
             variant = Variant(effect, shape)
             variant.put(variant.absent, nothing)
             result.append(variant)
@@ -297,39 +294,34 @@ class Case:
             among: numbers of the trajectories along which they are simulated; None for all.
         """
         numbers = range(len(self.trajectories)) if among is None else among
-        found, failures = self._simulate([(v, size, numbers) for v, size in wanted], progress)
-        for (variant, size), changes in zip(wanted, found, strict=True):
-            change: list[FloatArray | None] = [None] * len(self.trajectories)
-            for number, one in zip(numbers, changes, strict=True):
-                change[number] = one
-            variant.put(size, change)
-        return failures
+        for variant, size in wanted:
+            variant.put(size, [None] * len(self.trajectories))
+        return self._fill([(variant, size, numbers) for variant, size in wanted], progress)
 
-    def _simulate(
+    def _fill(
         self,
         wanted: Sequence[tuple[Variant, float, Sequence[int]]],
         progress: Progress | None = None,
-    ) -> tuple[list[list[FloatArray]], list[str]]:
-        """Return (F, SIZE) of each variant at its size along each of its trajectories, and what
-        could not be solved: no change, as along the reference's."""
+    ) -> list[str]:
+        """Simulate each variant at the size of one of its nodes along some trajectories; return
+        what could not be solved: there is no change there, as along the reference's."""
         requests, owners = [], []
-        changes = [
-            [np.zeros_like(self.trajectories[number].predicted) for number in numbers]
-            for _, _, numbers in wanted
-        ]
-        for row, (variant, size, numbers) in enumerate(wanted):
+        for variant, size, numbers in wanted:
+            change = variant.change[variant.node.index(size)]
             active = Active(variant.effect, variant.effect.checked(variant.values(size)))
-            for place, number in enumerate(numbers):
+            for number in numbers:
                 t = self.trajectories[number]
+                change[number] = np.zeros_like(t.predicted)
                 if not t.is_reference:
-                    requests.append(request_of(t.recording, self.values, effects=[active]))
-                    owners.append((row, place, t))
+                    requests.append(EffectRequest(t.recording, self.values, effects=[active]))
+                    owners.append((change, number))
         results, failures = self.solver.run_each(requests, progress)
-        for (row, place, t), result in zip(owners, results, strict=True):
+        for (change, number), result in zip(owners, results, strict=True):
             if result is not None:
+                t = self.trajectories[number]
                 shown = observed_of(t.recording, t.places, result, self.rest_m)
-                changes[row][place] = shown - t.predicted
-        return changes, failures
+                change[number] = shown - t.predicted
+        return failures
 
     def segments(self, variant: Variant, chosen: Sequence[int]) -> list[Segment]:
         """Return the segments between a variant's nodes, and beyond the outermost within range."""
@@ -354,6 +346,13 @@ class Case:
         return result
 
 
+def shapes_of(effect: Effect) -> list[dict[str, float]]:
+    """Return the values at which the parameters next to the size are tried."""
+    others = effect.parameters[1:]
+    tried = product(*(parameter.probes for parameter in others))
+    return [dict(zip((p.name for p in others), values, strict=True)) for values in tried]
+
+
 def _node_after(variant: Variant, size: float) -> int:
     """Return the place of the node above a size, of the outermost where there is none."""
     return int(np.clip(np.searchsorted(variant.node, size), 1, len(variant.node) - 1))
@@ -369,7 +368,7 @@ def observed_of(
     return observe(places, rest_m, skin, force, press.frame_count)
 
 
-def make_trajectories(
+def make_case(
     recordings: Sequence[Recording],
     reference: Sequence[Recording],
     *,
@@ -382,7 +381,7 @@ def make_trajectories(
     discrepancy: Discrepancy,
     channels: Sequence[str],
     progress: Progress | None = None,
-) -> tuple[list[EvidenceTrajectory], list[str]]:
+) -> tuple[Case, list[str]]:
     """Simulate the twin and its nuisances along recordings.
 
     Args:
@@ -398,18 +397,18 @@ def make_trajectories(
         progress: called with the number of solves done, and of all.
 
     Returns:
-        The trajectories, those of the reference first, and what had to be left out.
+        The case, its trajectories of the reference first, and what had to be left out.
     """
     every = [(r, True) for r in reference] + [(r, False) for r in recordings]
     requests = [nuisance_requests(r, values, library) for r, _ in every]
     results, _ = solver.run_each([q for group in requests for q in group], progress)
+    answers = iter(results)
+    rest = skin.rest_position_m
     trajectories, left_out = [], []
-    place = 0
     for (recording, is_reference), group in zip(every, requests, strict=True):
-        answers = results[place : place + len(group)]
-        place += len(group)
-        solved = [answer for answer in answers if answer is not None]
-        if len(solved) < len(answers):
+        asked = [next(answers) for _ in group]
+        solved = [answer for answer in asked if answer is not None]
+        if len(solved) < len(asked):
             left_out.append(
                 f"{recording.name} was left out: the gel could not be solved at its poses, which "
                 "may press deeper than the gel allows"
@@ -418,7 +417,6 @@ def make_trajectories(
         recording = _with_channels(recording, channels)
         press = recording.press
         places = places_of(recording, skin)
-        rest = skin.rest_position_m
         observed = usable(
             recording,
             observe(places, rest, press.skin_position_m, press.force_n, press.frame_count),
@@ -445,9 +443,9 @@ def make_trajectories(
                 patterns(recording, simulated[0], places.axes),
             )
         )
-    if not any(not t.is_reference for t in trajectories):
+    if all(t.is_reference for t in trajectories):
         raise SolveError("no trajectory could be solved:\n" + "\n".join(left_out))
-    return trajectories, left_out
+    return Case(trajectories, nuisances, library, solver, values, rest), left_out
 
 
 def _with_channels(recording: Recording, channels: Sequence[str]) -> Recording:

@@ -94,7 +94,15 @@ def fit(
     low = np.full(k, -np.inf) if low is None else low
     high = np.full(k, np.inf) if high is None else high
     design = np.concatenate([evidence.nuisance, columns], axis=1)
-    return settle(products(design, evidence), low, high)
+    residual, parts = evidence.residual, parts_of(evidence.trajectory)
+    known = Products(
+        np.stack([design[rows].T @ design[rows] for rows in parts]),
+        np.stack([design[rows].T @ residual[rows] for rows in parts]),
+        np.array([residual[rows] @ residual[rows] for rows in parts]),
+        np.array([float(len(rows)) for rows in parts]),
+        np.ones(len(parts)),
+    )
+    return settle(known, low, high)
 
 
 @dataclass(frozen=True)
@@ -116,18 +124,6 @@ class Products:
     counts: FloatArray
 
 
-def products(design: FloatArray, evidence: Evidence) -> Products:
-    """Return the products of a design (n, m) and the residual of an evidence."""
-    residual, parts = evidence.residual, parts_of(evidence.trajectory)
-    return Products(
-        np.stack([design[rows].T @ design[rows] for rows in parts]),
-        np.stack([design[rows].T @ residual[rows] for rows in parts]),
-        np.array([residual[rows] @ residual[rows] for rows in parts]),
-        np.array([float(len(rows)) for rows in parts]),
-        np.ones(len(parts)),
-    )
-
-
 def parts_of(trajectory: IntArray) -> list[IntArray]:
     """Return the rows of each trajectory."""
     return [np.flatnonzero(trajectory == t) for t in range(int(trajectory.max()) + 1)]
@@ -146,7 +142,8 @@ def settle(known: Products, low: FloatArray, high: FloatArray) -> Fit:
     for _ in range(ROUNDS):
         gram = np.tensordot(weight, known.gram, axes=1) + np.diag(prior)
         unknown = _bounded(gram, weight @ known.right, q, low, high)
-        square = _squares(known, unknown)
+        left = known.square - 2.0 * known.right @ unknown + (known.gram @ unknown) @ unknown
+        square = np.maximum(left, 0.0)
         scale = (doubt + square) / (doubt + rows)
         weight = known.counts / scale
         by_trajectory = (doubt + rows) * np.log(scale)
@@ -160,12 +157,6 @@ def settle(known: Products, low: FloatArray, high: FloatArray) -> Fit:
 def fit_nuisances(evidence: Evidence) -> Fit:
     """Return the fit without any column."""
     return fit(evidence, np.zeros((len(evidence.residual), 0)))
-
-
-def _squares(known: Products, unknown: FloatArray) -> FloatArray:
-    """Return (T,) the squares that are left."""
-    left = known.square - 2.0 * known.right @ unknown + (known.gram @ unknown) @ unknown
-    return np.asarray(np.maximum(left, 0.0))
 
 
 def _bounded(

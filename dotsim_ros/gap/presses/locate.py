@@ -6,12 +6,12 @@ after effects are added."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, WorstFrame
+from dotsim_ros.gap.findings import ALL, ChannelGap, ResidualPlace, WorstFrame
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, amplitude, white_variance
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory
 from dotsim_ros.gap.presses.observables import CHANNELS, regions_of_observables
@@ -152,7 +152,7 @@ def _squares(residuals: Residuals, t: int) -> tuple[float, float, float]:
     result = np.zeros(3)
     for part in CHANNELS.values():
         deviation = residuals.deviation[t][:, part]
-        # NaN, where nothing was observed, is no part of a footprint.
+        # NaN, where nothing was observed, is not part of a footprint.
         before = residuals.recalibrated[t][:, part] / deviation
         after = residuals.after[t][:, part] / deviation
         there = np.abs(before - after) > FOOTPRINT
@@ -194,7 +194,7 @@ def places_of_gap(
         for trajectory_name, square in by_trajectory.items():
             places.append(_place(key, trajectory_name, square))
         every = np.stack(list(by_trajectory.values()))
-        places.append(_place(key, "all", every.sum(axis=0), *_interval(every, random)))
+        places.append(_place(key, ALL, every.sum(axis=0), *_interval(every, random)))
     return tuple(places)
 
 
@@ -220,23 +220,10 @@ def _interval(squares: FloatArray, random: np.random.Generator) -> tuple[float, 
     return float(low), float(high)
 
 
-def worst_frame(
-    case: Case,
-    residuals: Residuals,
-    chosen: Sequence[int],
-    skins_of: Callable[[int], tuple[FloatArray, FloatArray] | None],
-    rest_m: FloatArray,
-) -> WorstFrame | None:
-    """Return the frame with the largest residual before.
-
-    Args:
-        case: the data.
-        residuals: of it.
-        chosen: trajectories to look at.
-        skins_of: returns a trajectory's skins, simulated without and with the effects, (F, V, 3).
-        rest_m: (V, 3).
-    """
-    worst, place = -1.0, (-1, -1)
+def worst_place(residuals: Residuals, chosen: Sequence[int]) -> tuple[int, int] | None:
+    """Return which trajectory, and which frame of it, has the largest residual before; None where
+    nothing was observed."""
+    worst, place = -1.0, None
     for t in chosen:
         scaled = (residuals.before[t] / residuals.deviation[t]) ** 2
         for frame, row in enumerate(scaled):
@@ -244,30 +231,36 @@ def worst_frame(
             size = float(np.mean(row[there])) if there.any() else -1.0
             if size > worst:
                 worst, place = size, (t, frame)
-    t, frame = place
-    if t < 0:
-        return None
+    return place
+
+
+def frame_of(
+    case: Case,
+    residuals: Residuals,
+    t: int,
+    frame: int,
+    skins: tuple[FloatArray, FloatArray] | None,
+) -> WorstFrame:
+    """Return what a trajectory shows in a frame, with its skins, simulated without and with the
+    effects, (F, V, 3); None where they are not known."""
     trajectory = case.trajectories[t]
     press = trajectory.recording.press
-    to_base = trajectory.places.axes
     load = CHANNELS["force"]
     forces = [
-        (trajectory.observed - left)[frame, load] @ to_base
+        ((trajectory.observed - left)[frame, load] @ trajectory.places.axes).tolist()
         for left in (residuals.before[t], residuals.after[t])
     ]
     has_force = press.force_n is not None
-    skins = None if press.skin_position_m is None else skins_of(t)
     return WorstFrame(
         trajectory.recording.name,
         frame,
         float(press.stamp_s[frame]),
-        _rounded(rest_m) if skins is not None else [],
+        _rounded(case.rest_m) if skins is not None else [],
         _rounded(press.skin_position_m[frame]) if press.skin_position_m is not None else [],
         _rounded(skins[0][frame]) if skins is not None else [],
         _rounded(skins[1][frame]) if skins is not None else [],
         press.force_n[frame].tolist() if press.force_n is not None else [],
-        forces[0].tolist() if has_force else [],
-        forces[1].tolist() if has_force else [],
+        *(forces if has_force else ([], [])),
     )
 
 

@@ -11,7 +11,6 @@ the stiffness free next to it, would do as well as all together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,11 +18,9 @@ from dotsim_ros.calibration.parameters import PARAMETERS
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import ChannelGap
 from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS, TOLERANCES, PressNuisance
-from dotsim_ros.gap.presses.evidence import Case
 from dotsim_ros.gap.presses.inference import Evidence, fit_nuisances
 from dotsim_ros.gap.presses.search_state import Search
 from dotsim_ros.gap.report import wording
-from dotsim_ros.gap.report.wording import MadeUp
 from dotsim_ros.gel.values import GelValues
 
 STIFFNESS = "E"
@@ -40,72 +37,51 @@ SHOWN_BY = {
 """The effect whose protocol shows a constant."""
 
 
-@dataclass(frozen=True)
-class _Column:
-    """A nuisance of the evidence: its place, its name, and itself."""
-
-    place: int
-    name: str
-    nuisance: PressNuisance
-
-
-def made_up(search: Search, gaps: Sequence[ChannelGap]) -> MadeUp | None:
-    """Return which constants make up for what the file is off by; None where it is off by no more
-    than the floor, or the constants were fitted to a commissioning.
+def no_gap_sentence(search: Search, gaps: Sequence[ChannelGap]) -> str:
+    """Return that no effect is missing, and which constants make up for what the file is off by;
+    the latter only beyond the floor, and where the constants were not fitted to a commissioning.
     """
+    case, evidence = search.case, search.evidence
     off = [gap for gap in gaps if gap.before > decision.FAR * gap.floor]
-    if not off or any(t.is_reference for t in search.case.trajectories):
-        return None
-    evidence, case = search.evidence, search.case
-    columns = [
-        _Column(place, name, nuisance)
-        for place, ((nuisance, whose), name) in enumerate(
-            zip(case.columns(), case.column_names(), strict=True)
-        )
-        if not whose
-    ]
-    centre = np.array([nuisance.centre for nuisance, _ in case.columns()])
+    if not off or any(t.is_reference for t in case.trajectories):
+        return wording.NO_GAP
+    columns = case.columns()
+    centre = np.array([column.nuisance.centre for column in columns])
     as_filed = evidence.residual + evidence.nuisance @ centre
-    stiffness = next(column for column in columns if column.name == STIFFNESS)
+    names = {k: column.name for k, column in enumerate(columns) if not column.of_reference}
+    stiffness = next(k for k, name in names.items() if name == STIFFNESS)
     alone = []
-    for column in columns:
-        kept = sorted({stiffness.place, column.place})
+    for k in names:
+        kept = sorted({stiffness, k})
         part = evidence.nuisance[:, kept]
         found = fit_nuisances(Evidence(as_filed - part @ centre[kept], part, evidence.trajectory))
-        behind = found.objective - search.base.objective
         moved = dict(zip(kept, (found.nuisance + centre[kept]).tolist(), strict=True))
-        alone.append((behind, column, moved))
+        alone.append((found.objective - search.base.objective, k, moved))
     alone.sort(key=lambda one: one[0])
     enough = [one for one in alone if one[0] < decision.SAME]
-    if any(column is stiffness for _, column, _ in enough):
-        # With it, any other seems to be enough.
-        enough = [one for one in enough if one[1] is stiffness]
-    return MadeUp(
-        tuple(off),
-        tuple(_text(case, column, stiffness, moved) for _, column, moved in enough),
-        tuple(
-            f"{column.name}: {case.library[SHOWN_BY[column.name]].protocol}"
-            for _, column, _ in enough or alone[:2]
-            if column.name in SHOWN_BY
-        ),
-    )
+    # With the stiffness, any other seems to be enough.
+    enough = [one for one in enough if one[1] == stiffness] or enough
+    constants = []
+    for _, k, moved in enough:
+        texts = [
+            _value(case.values, columns[c].nuisance, moved[c])
+            for c in dict.fromkeys((k, stiffness))
+        ]
+        effect = SHOWN_BY.get(names[k])
+        shown = "" if effect is None else f" ({wording.amid(case.library[effect].title)})"
+        constants.append(" with ".join(texts) + shown)
+    nearest = [names[k] for _, k, _ in enough or alone[:2]]
+    protocols = [
+        f"{name}: {case.library[SHOWN_BY[name]].protocol}" for name in nearest if name in SHOWN_BY
+    ]
+    return wording.made_up(off, constants, protocols)
 
 
-def _text(case: Case, column: _Column, stiffness: _Column, moved: dict[int, float]) -> str:
-    """Return a constant as it was fitted, next to the stiffness."""
-    shown = dict.fromkeys((column, stiffness))
-    text = " with ".join(_value(case.values, one, moved[one.place]) for one in shown)
-    effect = SHOWN_BY.get(column.name)
-    return text if effect is None else f"{text} ({wording.amid(case.library[effect].title)})"
-
-
-def _value(values: GelValues, column: _Column, deviations: float) -> str:
+def _value(values: GelValues, nuisance: PressNuisance, deviations: float) -> str:
     """Return a constant so many deviations off the file's, in words."""
-    nuisance = column.nuisance
     off = deviations * nuisance.deviation
-    if column.name not in GEL_CONSTANTS:
-        return f"{column.name} = {off:.2g} {nuisance.unit}"
-    parameter = PARAMETERS[column.name]
+    if nuisance.name not in GEL_CONSTANTS:
+        return f"{nuisance.name} = {off:.2g} {nuisance.unit}"
+    parameter = PARAMETERS[nuisance.name]
     at = parameter.to_coordinate(getattr(values, parameter.field))
-    unit = f" {parameter.unit}" if parameter.unit else ""
-    return f"{column.name} = {parameter.to_value(at + off):.3g}{unit}"
+    return f"{nuisance.name} = {parameter.to_value(at + off):.3g} {parameter.unit}".rstrip()

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
-from dotsim_ros.effects.simulate import EffectRequest, request_of
-from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
+from dotsim_ros.effects.simulate import EffectRequest
+from dotsim_ros.gap.presses.evidence import Case, Segment, Variant, shapes_of
 from dotsim_ros.gap.presses.inference import Evidence, Fit, Products, fit, parts_of, settle
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.io.arrays import FloatArray
@@ -147,30 +146,32 @@ def planned_requests(
         candidates: names of the effects to look at; none for all.
     """
     requests = []
-    for effect in library.values():
-        if candidates and effect.name not in candidates:
+    for effect in _wanted(library, candidates):
+        if not any(map(effect.excited_by, measured)):
             continue
-        if not ({SKIN, FORCE} & set(effect.channels)) or not any(map(effect.excited_by, measured)):
-            continue
-        first, *others = effect.parameters
-        for shape in product(*(parameter.probes for parameter in others)):
-            shaped = dict(zip((p.name for p in others), shape, strict=True))
-            for probe in first.probes:
-                active = Active(effect, effect.checked({first.name: probe, **shaped}))
-                requests += [request_of(r, values, effects=[active]) for r in measured]
+        size = effect.parameters[0]
+        for shape in shapes_of(effect):
+            for probe in size.probes:
+                active = Active(effect, effect.checked({size.name: probe, **shape}))
+                requests += [EffectRequest(r, values, effects=[active]) for r in measured]
     return requests
 
 
 def excited_variants(case: Case, candidates: Sequence[str] = ()) -> tuple[list[Variant], list[str]]:
     """Return the variants of the effects that the data excite, and the names of the others."""
     variants, silent = [], []
-    for effect in case.library.values():
-        if candidates and effect.name not in candidates:
-            continue
-        if not ({SKIN, FORCE} & set(effect.channels)):
-            continue
+    for effect in _wanted(case.library, candidates):
         if case.excited(effect):
             variants += case.variants(effect)
         else:
             silent.append(effect.name)
     return variants, silent
+
+
+def _wanted(library: Mapping[str, Effect], candidates: Sequence[str]) -> list[Effect]:
+    """Return the effects that show in skin or force, of the candidates or of all."""
+    return [
+        effect
+        for effect in library.values()
+        if {SKIN, FORCE} & set(effect.channels) and (not candidates or effect.name in candidates)
+    ]

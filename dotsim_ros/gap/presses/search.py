@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,9 +26,9 @@ from dotsim_ros.gap.presses.assumptions import (
 from dotsim_ros.gap.presses.certainty import estimates_of
 from dotsim_ros.gap.presses.conclusions import findings_of
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy, noise_from_idle
-from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
+from dotsim_ros.gap.presses.evidence import Case, Variant, make_case
 from dotsim_ros.gap.presses.screening import excited_variants, planned_requests
-from dotsim_ros.gap.presses.search_state import GapRequest, Progress, Search, SolveProgress
+from dotsim_ros.gap.presses.search_state import GapRequest, Progress, Search
 from dotsim_ros.gap.presses.weighed import (
     EFFECT,
     is_wrong,
@@ -42,6 +41,11 @@ from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.io.worker_pool.pool import worker_count
+from dotsim_ros.twin.solver import Progress as SolvesDone
+
+FIRST_COSTS = 1.65
+"""What a press of the first step takes of the time of a later one: in it the workers meet every
+indenter, and wait for the last gel. Measured over both steps of eight trajectories on two cores."""
 
 
 def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, Overlay | None]:
@@ -72,15 +76,11 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         warnings.append("no frame is without contact: the declared noise is used")
     random = np.random.default_rng(request.seed)
     with open_solver(
-        request.sensor,
-        measurement.skin,
-        request.directory / "solves",
-        library=library,
-        workers=request.workers,
+        request.sensor, measurement.skin, request.directory / "solves", workers=request.workers
     ) as solver:
-        solving = _plan(request, measurement, reference, solver, progress)
+        first, last = _plan(request, measurement, reference, solver, progress)
         nuisances = centred(ABSOLUTE if reference is None else DIFFERENTIAL, discrepancy.bias)
-        trajectories, left_out = make_trajectories(
+        case, left_out = make_case(
             measurement.recordings,
             () if reference is None else reference.recordings,
             values=values,
@@ -91,13 +91,9 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
             noise=noise,
             discrepancy=discrepancy,
             channels=request.channels,
-            progress=solving,
+            progress=first,
         )
-        solving.begin_last()
         warnings += left_out
-        case = Case(
-            trajectories, nuisances, library, solver, values, measurement.skin.rest_position_m
-        )
         chosen, held_out = _hold_out(case, random)
         if not held_out:
             warnings.append(
@@ -107,7 +103,15 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         search = Search(
             request, case, chosen, held_out, noise, discrepancy, random, progress, warnings
         )
-        findings, overlay = _run(search, measurement, reference, solving)
+        variants, silent = simulate_effects(search, last)
+        ranked = screen(search, variants)
+        gains, pattern_gains = null_gains(search, ranked, decision.NULL_DRAWS)
+        answer = answer_of(search, ranked, gains, pattern_gains)
+        named = answer.decision.named
+        for entry in named:
+            others = [other for other in named if other is not entry]
+            entry.estimates = estimates_of(search, entry, others)
+        findings, overlay = findings_of(search, measurement, reference, answer, silent)
     if scale is not None and is_wrong(scale):
         findings, overlay = with_scale(findings, overlay, scale, library[EFFECT])
     seconds = time.monotonic() - begun_s
@@ -137,9 +141,10 @@ def _plan(
     reference: Measurement | None,
     solver: EffectSolver,
     progress: Progress,
-) -> SolveProgress:
-    """Make what all solves need, and return what tells of them: how long they take altogether is
-    known before the first, but for refits, of which there are few."""
+) -> tuple[SolvesDone, SolvesDone]:
+    """Make what all solves need, and return what reports those of the first step and of the last:
+    how long they take altogether is known before the first, but for refits, of which there are few.
+    """
     library, values = request.library(), values_of(request.sensor)
     measured = measurement.recordings
     calibration = [
@@ -150,13 +155,13 @@ def _plan(
     screening = planned_requests(measured, values, library, request.candidates)
     workers = worker_count(request.workers)
 
-    def tell_tables(done: int, total: int) -> None:
-        # Told in rounds: each worker makes one at a time, and all take equally long.
+    def tables(done: int, total: int) -> None:
+        # Reported in rounds: each worker makes one at a time, and all take equally long.
         rounds = -(-total // workers)
         progress("tables", rounds if done == total else done // workers, rounds)
 
     progress("tables", 0, 1)
-    solver.prepare([*calibration, *screening], tell_tables)
+    solver.prepare([*calibration, *screening], tables)
     # Which of the repeated ones is held out makes no difference here.
     held_out = one_of_each([protocol_of(r) for r in measured], np.random.default_rng(0))
     searched = [r for place, r in enumerate(measured) if place not in held_out]
@@ -164,7 +169,24 @@ def _plan(
     later = [one for one in screening if one.recording.name in names]
     # What both need is solved in the first step.
     whole = solver.work_of([*calibration, *later])
-    return SolveProgress(progress, later=whole - solver.work_of(calibration))
+    return progress_of_two_steps(progress, later=whole - solver.work_of(calibration))
+
+
+def progress_of_two_steps(progress: Progress, later: int) -> tuple[SolvesDone, SolvesDone]:
+    """Return what reports the solves of the first step, and of a last one that is so much work, in
+    presses' work of the last."""
+    costs = FIRST_COSTS if later else 1.0
+    before = 0
+
+    def first(done: int, total: int) -> None:
+        nonlocal before
+        before = round(costs * total)
+        progress("solve", round(costs * done), before + later)
+
+    def last(done: int, total: int) -> None:
+        progress("solve", before + done, before + total)
+
+    return first, last
 
 
 def _hold_out(case: Case, random: np.random.Generator) -> tuple[list[int], list[int]]:
@@ -175,26 +197,7 @@ def _hold_out(case: Case, random: np.random.Generator) -> tuple[list[int], list[
     return [n for n in range(len(case.trajectories)) if n not in held_out], held_out
 
 
-def _run(
-    search: Search,
-    measurement: Measurement,
-    reference: Measurement | None,
-    solving: SolveProgress,
-) -> tuple[Findings, Overlay | None]:
-    variants, silent = simulate_effects(search, solving)
-    ranked = screen(search, variants)
-    gains, pattern_gains = null_gains(search, ranked, decision.NULL_DRAWS)
-    answer = answer_of(search, ranked, gains, pattern_gains)
-    named = answer.decision.named
-    for entry in named:
-        others = [other for other in named if other is not entry]
-        entry.estimates = estimates_of(search, entry, others)
-    return findings_of(search, measurement, reference, answer=answer, silent=silent)
-
-
-def simulate_effects(
-    search: Search, progress: Callable[[int, int], None]
-) -> tuple[list[Variant], list[str]]:
+def simulate_effects(search: Search, progress: SolvesDone) -> tuple[list[Variant], list[str]]:
     """Simulate every effect that is excited at its probes; return them, and the others' names.
 
     Raises:

@@ -21,7 +21,6 @@ from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances
 from dotsim_ros.gap.presses.screening import Trial
-from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.worker_pool.pool import Crew, check_workers
 from dotsim_ros.specification import SensorSpecification
@@ -32,39 +31,6 @@ Progress = Callable[[str, int, int], None]
 """Called with a step's name, how much of it is done, and of how much."""
 PATTERN_DEVIATION = 20.0
 """Prior of a pattern, in its percents of the press."""
-
-
-FIRST_COSTS = 1.65
-"""What a press of the first step takes of the time of a later one: in it the workers meet every
-indenter, and wait for the last gel. Measured over both steps of eight trajectories on two cores."""
-
-
-@dataclass
-class SolveProgress:
-    """Tells how much of all solving is done, over the steps that are known beforehand.
-
-    Attributes:
-        progress: is told, in presses' work (`dotsim_ros.twin.solver.Progress`) of later steps.
-        later: work of the steps after the present one.
-        before: of those that are finished.
-        present: of the present one.
-    """
-
-    progress: Progress
-    later: int
-    before: int = 0
-    present: int = 0
-
-    def __call__(self, done: int, total: int) -> None:
-        """Tell how much of the present step is done."""
-        if self.later:
-            done, total = round(FIRST_COSTS * done), round(FIRST_COSTS * total)
-        self.present = total
-        self.progress("solve", self.before + done, self.before + total + self.later)
-
-    def begin_last(self) -> None:
-        """Begin the last step."""
-        self.before, self.present, self.later = self.before + self.present, 0, 0
 
 
 @dataclass(frozen=True)
@@ -213,4 +179,4 @@ class Search:
     @cached_property
     def bootstraps(self) -> FloatArray:
         """(BOOTSTRAPS, T) how often each chosen trajectory counts in each repetition."""
-        return bootstrap_weights(len(self.chosen), BOOTSTRAPS, self.random)
+        return decision.bootstrap_weights(len(self.chosen), decision.BOOTSTRAPS, self.random)

@@ -39,7 +39,12 @@ def weighed_scale(request: GapRequest) -> tuple[ForceScale | None, list[str]]:
     before, more = _scale_of(request.reference)
     warnings += more
     if before is None:
-        return None, [*warnings, wording.weight_without_reference(scale.names)]
+        text = (
+            f"the known weight ({', '.join(scale.names)}) was not used: the commissioning has "
+            "none, so how its gauge read is not known; weigh at each commissioning, or search "
+            "without --reference"
+        )
+        return None, [*warnings, text]
     return scale.over(before), warnings
 
 
@@ -105,7 +110,11 @@ def with_scale(
     findings = replace(
         findings,
         verdict=Verdict.SET if findings.verdict is Verdict.SET else Verdict.NAMED,
-        sentence=f"{wording.weighed(effect, estimate, scale.names)} {findings.sentence}".strip(),
+        sentence=(
+            f"{effect.title} is missing, by the known weight ({', '.join(scale.names)}): "
+            f"{wording.shown(estimate)}; the presses were searched with forces divided by it. "
+            f"{findings.sentence}"
+        ).strip(),
         named=(*findings.named, EFFECT),
         candidates=(*others, candidate),
         # Weights are no trajectories: what was doubted of the presses is in the sentence.

@@ -5,15 +5,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib.colors import LogNorm
 from numpy.typing import ArrayLike
 
-from dotsim_ros.gap.findings import ChannelGap, Findings, TileGap, WorstFrame
-from dotsim_ros.gap.report.places import PlaceTable, strongest
+from dotsim_ros.data.recording import Phase
+from dotsim_ros.gap.findings import (
+    ALL,
+    ChannelGap,
+    Findings,
+    OpticalFindings,
+    ResidualPlace,
+    TileGap,
+    Verdict,
+    WorstFrame,
+)
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.page import LARGEST_WIDTH_INCHES, ReportImage, image_of, page_figure
 from dotsim_ros.io.printable import figure_label
@@ -79,13 +89,73 @@ def gap_bars(gap: ChannelGap, *, with_after: bool) -> ReportImage:
         return image_of(figure, name=f"gap_{gap.channel}", alt=alt)
 
 
-def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> ReportImage:
-    """Return a table of residuals as colours and numbers."""
-    if len(table.rows) > MOST_ROWS:
-        title = f"{title}: the {MOST_ROWS} strongest of {len(table.rows)}"
-        table = strongest(table, MOST_ROWS)
-    values = table.before if stage == "before" else table.after
-    rows = [figure_label(row, _LONGEST_LABEL) for row in table.rows]
+class PlaceTable(NamedTuple):
+    """Residuals by two things at once: labels of R rows and C columns, and (R, C) the RMS before
+    and after in expected deviations, NaN where nothing was measured."""
+
+    rows: list[str]
+    columns: list[str]
+    before: FloatArray
+    after: FloatArray
+
+
+def by_phase(places: Sequence[ResidualPlace]) -> PlaceTable:
+    """Return residuals of each region of each channel, by what the indenter does."""
+    summed = [place for place in places if place.trajectory == ALL]
+    return _table([(_where(p), p.phase, p) for p in summed], [phase.value for phase in Phase])
+
+
+def by_trajectory(places: Sequence[ResidualPlace]) -> PlaceTable:
+    """Return residuals of each trajectory, by channel and region."""
+    parts = [place for place in places if place.trajectory != ALL]
+    return _table([(p.trajectory, _where(p), p) for p in parts])
+
+
+def _where(place: ResidualPlace) -> str:
+    return f"{place.channel}, {place.region}"
+
+
+def _table(
+    cells: Sequence[tuple[str, str, ResidualPlace]], columns: Sequence[str] = ()
+) -> PlaceTable:
+    """Return the table of places by their row and column; columns that are named come first."""
+    rows = list(dict.fromkeys(row for row, _, _ in cells))
+    there = dict.fromkeys(column for _, column, _ in cells)
+    columns = [*(c for c in columns if c in there), *(c for c in there if c not in columns)]
+    square, count = np.zeros((2, len(rows), len(columns))), np.zeros((len(rows), len(columns)))
+    for row, column, place in cells:
+        at = rows.index(row), columns.index(column)
+        square[:, *at] += place.count * np.square([place.before, place.after])
+        count[at] += place.count
+    rms = np.sqrt(np.divide(square, count, out=np.full_like(square, np.nan), where=count > 0))
+    return PlaceTable(rows, columns, *rms)
+
+
+def place_images(findings: Findings) -> list[ReportImage]:
+    """Return where and when the residuals of skin and force are large."""
+    phases, trajectories = by_phase(findings.places), by_trajectory(findings.places)
+    images = []
+    if phases.rows:
+        images.append(heatmap(phases, phases.before, name="phases", title="By phase"))
+        if findings.named:
+            title = "By phase, with the effect"
+            images.append(heatmap(phases, phases.after, name="phases_after", title=title))
+    if trajectories.rows:
+        images.append(
+            heatmap(trajectories, trajectories.before, name="trajectories", title="By trajectory")
+        )
+    return images
+
+
+def heatmap(table: PlaceTable, values: FloatArray, *, name: str, title: str) -> ReportImage:
+    """Return values (R, C) of a table as colours and numbers."""
+    rows = table.rows
+    if len(rows) > MOST_ROWS:
+        title = f"{title}: the {MOST_ROWS} strongest of {len(rows)}"
+        peak = np.nan_to_num(table.before, nan=0.0).max(axis=1)
+        kept = np.sort(np.argsort(-peak, kind="stable")[:MOST_ROWS])
+        rows, values = [rows[k] for k in kept], values[kept]
+    labels = [figure_label(row, _LONGEST_LABEL) for row in rows]
     columns = [figure_label(column) for column in table.columns]
     largest = max(4.0, float(np.nanmax(table.before, initial=0.0)))
     # The column labels hang below, as long as they are.
@@ -99,11 +169,24 @@ def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> ReportIm
             if np.isfinite(value):
                 _number(axes, j, i, value, is_dark=shade(value) > 0.6)
         axes.set_xticks(range(len(columns)), columns, rotation=90)
-        axes.set_yticks(range(len(rows)), rows)
+        axes.set_yticks(range(len(rows)), labels)
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
         figure.suptitle(figure_label(title, 60))
-        return image_of(figure, name=name, alt=f"{title}: {_strongest(table, values)}")
+        i, j = np.unravel_index(int(np.nanargmax(values)), values.shape)
+        alt = f"{title}: largest {values[i, j]:.2g} at {rows[i]}, {table.columns[j]}"
+        return image_of(figure, name=name, alt=alt)
+
+
+def tile_images(own: OpticalFindings | None) -> list[ReportImage]:
+    """Return the gap of the images, as a whole and by tile; none where they were not searched."""
+    if own is None or own.verdict is Verdict.UNUSABLE:
+        return []
+    images = [] if own.gap is None else [gap_bars(own.gap, with_after=bool(own.named))]
+    if own.tiles:
+        stages = ("before", "after") if own.named else ("before",)
+        images += [tile_map(own.tiles, stage) for stage in stages]
+    return images
 
 
 def tile_map(tiles: tuple[TileGap, ...], stage: str) -> ReportImage:
@@ -219,10 +302,3 @@ def _skin(
 def _distance_mm(one_m: ArrayLike, other_m: ArrayLike) -> FloatArray:
     between = np.asarray(one_m, dtype=np.float64) - np.asarray(other_m, dtype=np.float64)
     return np.asarray(1e3 * np.linalg.norm(between, axis=1))
-
-
-def _strongest(table: PlaceTable, values: FloatArray) -> str:
-    if not np.isfinite(values).any():
-        return "nothing measured"
-    i, j = np.unravel_index(int(np.nanargmax(values)), values.shape)
-    return f"largest {values[i, j]:.2g} at {table.rows[i]}, {table.columns[j]}"

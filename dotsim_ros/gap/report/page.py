@@ -17,16 +17,15 @@ from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, Findings, OpticalFindings, Verdict
 from dotsim_ros.gap.report.figures import (
     gap_bars,
-    heatmap,
+    place_images,
     quantity,
     ranking,
     shown,
     shown_unit,
-    tile_map,
+    tile_images,
     worst_frame,
 )
-from dotsim_ros.gap.report.places import ALL, by_phase, by_trajectory
-from dotsim_ros.io.page import ReportImage, template_files
+from dotsim_ros.io.page import template_files
 
 TEMPLATE = "gap/report.j2"
 LABELS = {
@@ -60,9 +59,9 @@ def report_files(
     gel = _without_images(findings)
     label, colour = LABELS[findings.verdict]
     galleries = {
-        "images": _images_of_tiles(own),
+        "images": tile_images(own),
         "gaps": [gap_bars(gap, with_after=bool(gel.named)) for gap in gel.gaps],
-        "places": _images_of_places(gel),
+        "places": place_images(gel),
         "worst": [] if gel.worst is None else worst_frame(gel.worst, with_after=bool(gel.named)),
         "ranking": ranking(gel),
     }
@@ -120,29 +119,6 @@ def _without_images(f: Findings) -> Findings:
         named=tuple(name for name in f.named if name not in own.named),
         alternatives=tuple(name for name in f.alternatives if name not in own.alternatives),
     )
-
-
-def _images_of_tiles(own: OpticalFindings | None) -> list[ReportImage]:
-    if own is None or own.verdict is Verdict.UNUSABLE:
-        return []
-    images = [] if own.gap is None else [gap_bars(own.gap, with_after=bool(own.named))]
-    if own.tiles:
-        stages = ("before", "after") if own.named else ("before",)
-        images += [tile_map(own.tiles, stage) for stage in stages]
-    return images
-
-
-def _images_of_places(f: Findings) -> list[ReportImage]:
-    phases, trajectories = by_phase(f.places), by_trajectory(f.places)
-    images = []
-    if phases.rows and phases.columns:
-        images.append(heatmap(phases, "before", name="phases", title="By phase"))
-        if f.named:
-            title = "By phase, with the effect"
-            images.append(heatmap(phases, "after", name="phases_after", title=title))
-    if trajectories.rows and trajectories.columns:
-        images.append(heatmap(trajectories, "before", name="trajectories", title="By trajectory"))
-    return images
 
 
 def _candidate_rows(f: Findings | OpticalFindings, effects: Mapping[str, Effect]) -> Rows:
@@ -211,8 +187,7 @@ def _remaining(f: Findings) -> Sequence[tuple[object, float, float]]:
 
 
 def _place_rows(f: Findings) -> Rows:
-    parts = [p for p in f.places if p.count and ALL not in (p.channel, p.phase, p.region)]
-    parts.sort(key=lambda p: p.after if f.named else p.before, reverse=True)
+    parts = sorted(f.places, key=lambda p: p.after if f.named else p.before, reverse=True)
     return [
         (
             f"{p.channel}, {p.region}, {p.phase}",

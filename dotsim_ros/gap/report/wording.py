@@ -6,33 +6,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from dotsim_ros.data.measurement import Measurement, protocol_of
 from dotsim_ros.data.recording import Phase
 from dotsim_ros.effects.effect import Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, Verdict
-from dotsim_ros.gap.resampling import BOOTSTRAPS
+from dotsim_ros.gap.findings import ALL, ChannelGap, ResidualPlace
 
 FEW = 4
-
-
-@dataclass(frozen=True)
-class MadeUp:
-    """That the twin's constants make up for what its file is off by.
-
-    Attributes:
-        gaps: of the channels in which it is off.
-        alone: constants of which each would do, with the stiffness next to it, as well as all
-            together, in words; none where no single one would.
-        protocols: what to record to tell them, by constant.
-    """
-
-    gaps: tuple[ChannelGap, ...]
-    alone: tuple[str, ...]
-    protocols: tuple[str, ...]
 
 
 def data_warnings(
@@ -82,7 +64,7 @@ def shown(estimate: Estimate) -> str:
 
 def largest_place(places: Sequence[ResidualPlace]) -> str:
     """Return where the residual is largest over all trajectories, in words."""
-    every = [p for p in places if p.trajectory == "all"]
+    every = [p for p in places if p.trajectory == ALL]
     if not every:
         return ""
     worst = max(every, key=lambda p: (p.before**2 - 1.0) * p.count**0.5)
@@ -92,184 +74,135 @@ def largest_place(places: Sequence[ResidualPlace]) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Facts:
-    """What a sentence on an answer is made of.
+NO_GAP = "No gap: simulation and measurement agree within noise and discretisation."
 
-    Attributes:
-        named: effects that are added, with their estimates.
-        alternatives: effects that cannot be distinguished from the first.
-        gaps: by channel, on the held-out trajectories, or on all where none is held out.
-        nearest: what comes nearest, where nothing is named: an effect, or two that act together.
-        sizes: of the nearest, as the skin and as the force give it, where they disagree.
-        beyond: parameter of the nearest and the value that the data ask for, beyond its range.
-        left_open: share of the held-out trajectories' gap that the nearest closes, where that is
-            why it is not named.
-        doubted: the effects that are not named because too few bootstrap repetitions ask for them,
-            as `amid_all` puts them.
-        stability: share of the repetitions that do.
-        place: where the residual is largest, in words.
-        is_held_out: whether any trajectory is.
-        made_up: where no effect is missing, how the twin's constants make up for a gap.
+
+def made_up(off: Sequence[ChannelGap], alone: Sequence[str], protocols: Sequence[str]) -> str:
+    """Return that no effect is missing, but that the twin's file is off.
+
+    Args:
+        off: channels in which it is.
+        alone: constants of which each would do, with the stiffness next to it, as well as all
+            together, in words.
+        protocols: what to record to distinguish them, by constant.
     """
-
-    named: Sequence[tuple[Effect, Sequence[Estimate]]] = ()
-    alternatives: Sequence[Effect] = ()
-    gaps: Sequence[ChannelGap] = ()
-    nearest: Sequence[Effect] = ()
-    sizes: tuple[float, float] | None = None
-    beyond: tuple[EffectParameter, float] | None = None
-    left_open: float | None = None
-    doubted: str = ""
-    stability: float | None = None
-    place: str = ""
-    is_held_out: bool = True
-    made_up: MadeUp | None = None
-
-
-def sentence(verdict: Verdict, facts: Facts) -> str:
-    """Return the answer of skin and force in a few sentences."""
-    return {
-        Verdict.NO_GAP: _no_gap,
-        Verdict.UNKNOWN: _not_decided if facts.doubted else _unknown,
-        Verdict.NAMED: _missing,
-        Verdict.SET: _missing,
-    }[verdict](facts)
-
-
-def optical_sentence(verdict: Verdict, facts: Facts) -> str:
-    """Return what was found in the images, in one or two sentences."""
-    return {
-        Verdict.NO_GAP: lambda _: "Images: no gap beyond noise and the twin's own error.",
-        Verdict.UNKNOWN: _unknown_in_images,
-        Verdict.NAMED: _missing_in_images,
-        Verdict.SET: _missing_in_images,
-    }[verdict](facts)
-
-
-def _no_gap(facts: Facts) -> str:
-    """Return that no effect is missing, and where the twin's file does not fit, that and why."""
-    found = facts.made_up
-    if found is None:
-        return "No gap: simulation and measurement agree within noise and discretisation."
-    off = ", ".join(
+    rms = ", ".join(
         f"{gap.channel} {gap.before:.3g} {gap.unit} ({gap.before / gap.floor:.1f} times the floor)"
-        for gap in found.gaps
+        for gap in off
     )
     text = (
         "No gap beyond the twin's constants: as its file has them it is off, RMS "
-        f"{off}, and other values within their priors make up for it."
+        f"{rms}, and other values within their priors make up for it."
     )
-    if len(found.alone) == 1:
-        text += f" One alone would: {found.alone[0]}; several together may be as right."
-    elif found.alone:
-        text += f" The data do not tell which; each alone would: {'; '.join(found.alone)}."
+    if len(alone) == 1:
+        text += f" One alone would: {alone[0]}; several together may be as right."
+    elif alone:
+        text += f" The data do not tell which; each alone would: {'; '.join(alone)}."
     else:
         text += " No single one would, and the data do not tell which together."
-    if found.protocols:
-        text += f" To tell, record for {'; for '.join(found.protocols)}."
+    if protocols:
+        text += f" To tell, record for {'; for '.join(protocols)}."
     return text
 
 
-def _not_decided(facts: Facts) -> str:
+def not_decided(nearest: Sequence[Effect], *, are_two: bool, stability: float, place: str) -> str:
+    """Return that too few bootstrap repetitions, a share of `stability`, ask for the effects that
+    explain a gap best: two that act together, or those of a set."""
     return (
-        f"Not decided: simulation and measurement disagree, most in {facts.place}, and what "
-        f"explains it best is: {facts.doubted}. Only {facts.stability:.0%} of bootstrap "
-        "repetitions over trajectories ask for it; record more trajectories."
+        f"Not decided: simulation and measurement disagree, most in {place}, and what "
+        f"explains it best is: {amid_all(nearest, are_two=are_two)}. Only {stability:.0%} of "
+        "bootstrap repetitions over trajectories ask for it; record more trajectories."
     )
 
 
-def _unknown(facts: Facts) -> str:
-    text = (
+def unknown(place: str, nearest: Sequence[Effect], reasons: Sequence[str]) -> str:
+    """Return that no effect explains a gap that is largest in a place, and the reasons why the
+    nearest ones, which would act together, do not."""
+    but = "".join(f", but {reason}" for reason in reasons)
+    return (
         "Unknown effect: simulation and measurement disagree, and no effect of the library "
-        f"explains it. It is largest in {facts.place}."
+        f"explains it. It is largest in {place}. The nearest is: "
+        f"{amid_all(nearest, are_two=True)}{but}."
     )
-    if not facts.nearest:
-        return text
-    text += f" The nearest is: {amid_all(facts.nearest, are_two=True)}"
-    if facts.beyond is not None:
-        text += f", but the data {_asked(*facts.beyond)}"
-    if facts.left_open is not None:
-        closes = "it closes" if len(facts.nearest) == 1 else "together they close"
-        text += f", but {closes} {facts.left_open:.0%} of the held-out trajectories' gap"
-    if facts.sizes is not None:
-        first = facts.nearest[0].parameters[0]
-        skin, force = (f"{size:.2g}{_unit(first)}" for size in facts.sizes)
-        text += (
-            f", but the skin gives {first.name} = {skin} and the force {force}: they should agree"
-        )
-    return f"{text}."
 
 
-def _missing(facts: Facts) -> str:
+def left_open(count: int, share: float) -> str:
+    """Return as a reason that so many effects close too small a share of the gap."""
+    closes = "it closes" if count == 1 else "together they close"
+    return f"{closes} {share:.0%} of the held-out trajectories' gap"
+
+
+def disagreeing(parameter: EffectParameter, skin: float, force: float) -> str:
+    """Return as a reason that skin and force ask for two sizes."""
+    first, second = (f"{size:.2g}{_unit(parameter)}" for size in (skin, force))
+    return f"the skin gives {parameter.name} = {first} and the force {second}: they should agree"
+
+
+def asked(data: str, parameter: EffectParameter, value: float) -> str:
+    """Return as a reason that data ask for a value beyond the plausible range."""
+    unit = _unit(parameter)
+    return (
+        f"the {data} ask for {parameter.name} = {value:.2g}{unit}, and its plausible range is "
+        f"{parameter.low:g} to {parameter.high:g}{unit}"
+    )
+
+
+Named = Sequence[tuple[Effect, Sequence[Estimate]]]
+"""Effects that are named, with their estimates."""
+
+
+def missing(
+    named: Named, alternatives: Sequence[Effect], gaps: Sequence[ChannelGap], *, is_held_out: bool
+) -> str:
+    """Return that effects are missing, and how much of the gaps they close."""
     text = "; and ".join(
         f"{effect.title} is missing: {', '.join(map(shown, estimates))}"
-        for effect, estimates in facts.named
+        for effect, estimates in named
     )
-    closing = "; ".join(f"{gap.channel} {_closing(gap, gap.unit)}" for gap in facts.gaps)
-    where = "held-out gap" if facts.is_held_out else "gap of the data searched, none being held out"
+    closing = "; ".join(f"{gap.channel} {_closing(gap, gap.unit)}" for gap in gaps)
+    where = "held-out gap" if is_held_out else "gap of the data searched, none being held out"
     text += f"; {where}: {closing}." if closing else "."
-    return text + _not_distinguished("data", facts)
+    return text + _not_distinguished("data", alternatives)
 
 
-def _unknown_in_images(facts: Facts) -> str:
+NO_GAP_IN_IMAGES = "Images: no gap beyond noise and the twin's own error."
+
+
+def unknown_in_images(nearest: Effect | None, reasons: Sequence[str]) -> str:
+    """Return that no effect explains the images, and why the nearest one does not."""
     text = "Images: they differ from the twin's, and no effect of the library explains it."
-    if not facts.nearest:
+    if nearest is None:
         return text
-    but = "" if facts.beyond is None else f", but the images {_asked(*facts.beyond)}"
-    return f"{text} The nearest is: {amid(facts.nearest[0].title)}{but}."
+    but = "".join(f", but {reason}" for reason in reasons)
+    return f"{text} The nearest is: {amid(nearest.title)}{but}."
 
 
-def _missing_in_images(facts: Facts) -> str:
-    text = "Images: " + "; and ".join(
+def missing_in_images(named: Named, alternatives: Sequence[Effect], gap: ChannelGap) -> str:
+    """Return that effects are missing in the images, and how much of the gap they close."""
+    text = "; and ".join(
         f"{amid(effect.title)} is missing: {', '.join(map(shown, estimates))}"
-        for effect, estimates in facts.named
+        for effect, estimates in named
     )
-    text += f"; gap of the colours: {_closing(facts.gaps[0], 'grey levels')}."
-    return text + _not_distinguished("images", facts)
+    return (
+        f"Images: {text}; gap of the colours: {_closing(gap, 'grey levels')}."
+        f"{_not_distinguished('images', alternatives)}"
+    )
 
 
 def _closing(gap: ChannelGap, unit: str) -> str:
     return f"{gap.recalibrated:.3g} -> {gap.after:.3g} {unit} (floor {gap.floor:.2g})"
 
 
-def _not_distinguished(data: str, facts: Facts) -> str:
-    others = ", ".join(effect.title for effect in facts.alternatives)
+def _not_distinguished(data: str, alternatives: Sequence[Effect]) -> str:
+    others = ", ".join(effect.title for effect in alternatives)
     return f" The {data} do not distinguish it from: {others}." if others else ""
-
-
-def _asked(parameter: EffectParameter, value: float) -> str:
-    """Return that a value is asked for which is beyond the plausible range."""
-    unit = _unit(parameter)
-    return (
-        f"ask for {parameter.name} = {value:.2g}{unit}, and its plausible range is "
-        f"{parameter.low:g} to {parameter.high:g}{unit}"
-    )
 
 
 def _unit(parameter: EffectParameter | Estimate) -> str:
     return f" {parameter.unit}" if parameter.unit else ""
 
 
-def weighed(effect: Effect, estimate: Estimate, names: Sequence[str]) -> str:
-    """Return that known weights give the scale of the force, in a sentence."""
-    return (
-        f"{effect.title} is missing, by the known weight ({', '.join(names)}): {shown(estimate)}; "
-        "the presses were searched with forces divided by it."
-    )
-
-
-def weight_without_reference(names: Sequence[str]) -> str:
-    """Return why weights are not used against a commissioning, and what to do."""
-    return (
-        f"the known weight ({', '.join(names)}) was not used: the commissioning has none, so how "
-        "its gauge read is not known; weigh at each commissioning, or search without --reference"
-    )
-
-
-def certainty_warnings(
-    found: str, stability: float | None, named: Sequence[tuple[Effect, Sequence[Estimate]]]
-) -> list[str]:
+def certainty_warnings(found: str, stability: float | None, named: Named) -> list[str]:
     """Return what is uncertain of a name, and of the sizes of named effects.
 
     Args:
@@ -280,29 +213,20 @@ def certainty_warnings(
     texts = []
     if stability is not None and stability < decision.STABLE_SHARE:
         texts.append(
-            f"the name{found} is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions "
-            "over trajectories agree; record more trajectories"
+            f"the name{found} is not stable: {stability:.0%} of {decision.BOOTSTRAPS} bootstrap "
+            "repetitions over trajectories agree; record more trajectories"
         )
-    reached = [reaches_end(effect, estimates[0]) for effect, estimates in named]
-    return [*texts, *(text for text in reached if text is not None)]
-
-
-def reaches_end(effect: Effect, estimate: Estimate) -> str | None:
-    """Return that an interval reaches the end of the plausible range, None for one that does not.
-
-    Args:
-        effect: that is named.
-        estimate: of its first parameter.
-    """
-    first = effect.parameters[0]
-    ends = [end for end in map(first.end_at, (estimate.low, estimate.high)) if end is not None]
-    if not ends:
-        return None
-    return (
-        f"the interval of {effect.name}.{first.name} reaches the end of its range, {ends[0]:.3g}"
-        f"{_unit(first)}: the data do not say how large it is, and it may stand for something else "
-        "that looks alike"
-    )
+    for effect, estimates in named:
+        first = effect.parameters[0]
+        ends = [first.end_at(end) for end in (estimates[0].low, estimates[0].high)]
+        reached = next((end for end in ends if end is not None), None)
+        if reached is not None:
+            texts.append(
+                f"the interval of {effect.name}.{first.name} reaches the end of its range, "
+                f"{reached:.3g}{_unit(first)}: the data do not say how large it is, and it may "
+                "stand for something else that looks alike"
+            )
+    return texts
 
 
 def image_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int) -> list[str]:
@@ -345,17 +269,9 @@ def not_tried_warning(effects: Sequence[Effect], least: int, reason: str) -> str
     )
 
 
-def learnt_from_reference(effects: Sequence[Effect], source: str) -> str:
-    """Return that some effects' limits come from the reference, which is taken to have none."""
-    return (
-        f"the file of the images' noise does not hold {', '.join(e.name for e in effects)}: their "
-        f"limits come from {source}, the reference, in which no effect is taken to be missing"
-    )
-
-
 def amid_all(effects: Sequence[Effect], *, are_two: bool) -> str:
-    """Return the titles of two effects that act together, or of those that cannot be told apart, as
-    they stand within a sentence."""
+    """Return the titles of two effects that act together, or of those that are not distinguished,
+    as they stand within a sentence."""
     return (" and " if are_two else " or ").join(amid(effect.title) for effect in effects)
 
 

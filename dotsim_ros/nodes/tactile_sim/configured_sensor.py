@@ -23,9 +23,8 @@ import numpy as np
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-from dotsim_ros.effects.effect import Active
+from dotsim_ros.effects.effect import Active, specification_with_effects
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.effects.live import specification_with_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.nodes.common.clock_watch import ClockJump

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dotsim_ros.effects.live import LiveEffects
 from dotsim_ros.gel.implicit.gel import LARGEST_SUBSTEP_M
 from dotsim_ros.geometry.indenter import way_m
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.io.arrays import FloatArray, ImageArray
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
+from dotsim_ros.nodes.tactile_sim.live_effects import LiveEffects
 from dotsim_ros.nodes.tactile_sim.motion import NANOSECONDS_PER_SECOND, MotionOrder
 from dotsim_ros.nodes.tactile_sim.pursuit import (
     TOUCH_M,

@@ -1,64 +1,34 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Effects at work in a live sensor: its gel, and what goes in and comes out frame by frame."""
+"""Effects at work in a live sensor: what goes in and comes out frame by frame."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dotsim_ros.effects.effect import (
     Active,
-    GelTerm,
     Response,
     SeenImage,
-    gel_with,
     image_filters,
     motion_filters,
     response_filters,
 )
-from dotsim_ros.gel.make import GelFrame
-from dotsim_ros.gel.values import specification_with, values_of
-from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.pose import Pose, Wrench
-from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
-from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.geometry.skin_mesh import tip_depth_m
+from dotsim_ros.io.arrays import FloatArray, ImageArray
+
+if TYPE_CHECKING:
+    from dotsim_ros.gel.make import GelFrame
+    from dotsim_ros.sensor import Frame, TactileSensor
 
 NO_FORCE_N = 1e-9
 """A force below this has no direction."""
-
-
-def specification_with_effects(
-    specification: SensorSpecification, effects: Sequence[Active]
-) -> SensorSpecification:
-    """Return a sensor whose gel is what the effects make of it.
-
-    Raises:
-        ValueError: an effect acts on a gel that has another law than neo-Hooke's or Yeoh's, or
-            gives it a value that it cannot have, or makes a pad thicker or thinner.
-    """
-    if not any(active.effect.gel for active in effects):
-        return specification
-    own = specification.material
-    term = gel_with(
-        effects, GelTerm(values_of(specification), own.prony_shares, own.prony_times_s), None
-    )
-    changed = specification_with(specification, term.values)
-    if specification.gel.shape != "dome" and changed.gel != specification.gel:
-        raise ValueError(
-            "an effect changes the thickness of a pad; its base would come up and its face stay, "
-            "which a sensor whose base is at z = 0 cannot show: set gel.pad_size_m in the sensor's "
-            "file, whose face is then at another height"
-        )
-    material = replace(
-        changed.material, prony_shares=term.prony_shares, prony_times_s=term.prony_times_s
-    )
-    return replace(changed, material=material)
 
 
 def wrench_with_force(wrench: Wrench, force_n: FloatArray, tip_m: FloatArray) -> Wrench:
@@ -73,45 +43,6 @@ def wrench_with_force(wrench: Wrench, force_n: FloatArray, tip_m: FloatArray) ->
     return Wrench(force_n, torque)
 
 
-class FilteredSensor(Protocol):
-    """What the filters need of a live sensor, as `dotsim_ros.sensor.TactileSensor`."""
-
-    @property
-    def skin(self) -> SkinMesh:
-        """The skin at rest."""
-
-    @property
-    def camera(self) -> Camera:
-        """That the images are of."""
-
-    @property
-    def idle_image(self) -> ImageArray:
-        """The image without contact, (H, W, 3) uint8."""
-
-    def image_motion_px(self, before_m: FloatArray, after_m: FloatArray) -> FloatArray:
-        """Return how far (H, W, 2) what each pixel shows has moved in the image, x then y."""
-
-
-class FilteredFrame(Protocol):
-    """What the filters of the image need of a rendered frame, as `dotsim_ros.sensor.Frame`."""
-
-    @property
-    def image(self) -> ImageArray:
-        """Of the camera, (H, W, 3) uint8."""
-
-    @property
-    def skin_position_m(self) -> FloatArray:
-        """The skin (V, 3), base frame."""
-
-    @property
-    def depth_m(self) -> Float32Array:
-        """Distance (H, W) along the ray, NaN where no skin is seen."""
-
-    @property
-    def normal(self) -> Float32Array:
-        """Unit normal (H, W, 3) in the optical frame, towards the camera."""
-
-
 class LiveEffects:
     """The filters of pose, response and image of one sensor.
 
@@ -123,7 +54,7 @@ class LiveEffects:
         act_in_time: whether a frame may differ from the one before without a new command.
     """
 
-    def __init__(self, effects: Sequence[Active], sensor: FilteredSensor) -> None:
+    def __init__(self, effects: Sequence[Active], sensor: TactileSensor) -> None:
         self._effects, self._sensor = tuple(effects), sensor
         self._has_response = any(active.effect.response for active in effects)
         self._has_image = any(active.effect.image for active in effects)
@@ -174,7 +105,7 @@ class LiveEffects:
 
     def camera(
         self, before_m: FloatArray | None, step_s: float
-    ) -> Callable[[FilteredFrame], ImageArray] | None:
+    ) -> Callable[[Frame], ImageArray] | None:
         """Return what the camera makes of this moment's rendered frame, whenever that is; None
         where no effect acts on it. The skin (V, 3) of the frame before, `step_s` ago, is None where
         nothing leads here."""
@@ -183,7 +114,7 @@ class LiveEffects:
         image, stamp_s, session_s = self._image, self._stamp_s, self._session_s
         sensor = self._sensor
 
-        def seen(frame: FilteredFrame) -> ImageArray:
+        def seen(frame: Frame) -> ImageArray:
             if before_m is None:
                 flow = np.zeros((*frame.image.shape[:2], 2))
             else:
