@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros.control.arm.command import check_plausible
-from dotsim_ros.nodes.xarm_adapter.link import Hindrance, LinkLimits, VelocityLink
+from dotsim_ros.nodes.xarm_adapter.link import Hindrance, VelocityLink
+from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
 from msg_adapters import decode_robot_state, encode_move_velocity
 from msg_adapters.xarm import quaternion_of_roll_pitch_yaw
 
@@ -29,7 +30,7 @@ def robot_message(**changes):
 
 
 def ready_link(now_s=0.0, **limits):
-    link = VelocityLink(LinkLimits(**limits))
+    link = VelocityLink(XarmAdapterParameters(**limits))
     link.hear(decode_robot_state(robot_message()), now_s)
     return link
 
@@ -83,7 +84,7 @@ def test_a_velocity_without_an_end_is_refused(duration_s):
 
 
 def test_a_command_is_called_and_shortened_to_the_limits():
-    link = ready_link(linear_m_s=0.1, angular_rad_s=0.5)
+    link = ready_link(speed_limit_m_s=0.1, angular_speed_limit_rad_s=0.5)
     link.command(np.array([3.0, 4.0, 0.0, 0.0, 0.0, 2.0]), 0.0, along_tool=True)
     call = link.next_call(0.01, has_service=True)
     np.testing.assert_allclose(call.twist, [0.06, 0.08, 0.0, 0.0, 0.0, 0.5])
@@ -176,7 +177,7 @@ def test_an_arm_that_is_not_ready_is_not_commanded_and_why_is_said(changes, hind
 
 
 def test_an_arm_that_is_not_heard_of_is_not_commanded():
-    link = VelocityLink(LinkLimits(silence_s=0.5))
+    link = VelocityLink(XarmAdapterParameters(silence_s=0.5))
     link.command(velocity(0.05), 0.0, along_tool=False)
     assert link.next_call(0.0, has_service=True) is None
     assert "has not been received" in link.detail

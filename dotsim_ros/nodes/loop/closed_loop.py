@@ -29,6 +29,7 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.documents import read_yaml
 from dotsim_ros.io.files import parameter_path
+from dotsim_ros.nodes.common.parameters import from_values
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.loop.loop_time import REALTIME, SIMULATED, RealTime, SteppedTime
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
@@ -83,11 +84,11 @@ class LoopSetup:
     def limits(self) -> SafetyLimits:
         """Return what the policy's node lets the arm do."""
         given = loop_parameters(POLICY) | dict(self.policy_parameters)
-        return TactilePolicyParameters(**given).limits()
+        return from_values(TactilePolicyParameters, given).limits
 
     def places(self) -> LoopPlaces:
         """Return where the arm starts."""
-        settings = XarmSimParameters(**loop_parameters(ARM) | dict(self.arm_parameters))
+        settings = from_values(XarmSimParameters, loop_parameters(ARM) | dict(self.arm_parameters))
         return LoopPlaces(
             pose_of(settings.start_pose, "start_pose"),
             pose_of(settings.tool_from_sensor, "tool_from_sensor"),

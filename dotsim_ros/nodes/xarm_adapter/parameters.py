@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dotsim_ros.control.arm.command import ToolLimits
 from dotsim_ros.io.quantity import check_fields, quantity
 from dotsim_ros.nodes.common.parameters import READ_ONLY
-from dotsim_ros.nodes.xarm_adapter.link import LinkLimits
 
 
 @dataclass(frozen=True)
@@ -94,12 +94,7 @@ class XarmAdapterParameters:
                 f"{self.rate_hz:g} Hz: the arm would stop between two calls"
             )
 
-    def limits(self) -> LinkLimits:
-        """Return what may be sent."""
-        return LinkLimits(
-            linear_m_s=self.speed_limit_m_s,
-            angular_rad_s=self.angular_speed_limit_rad_s,
-            stale_s=self.stale_s,
-            silence_s=self.silence_s,
-            answer_s=self.answer_s,
-        )
+    @property
+    def tool(self) -> ToolLimits:
+        """What may be sent; faster commands are scaled down."""
+        return ToolLimits(self.speed_limit_m_s, self.angular_speed_limit_rad_s)

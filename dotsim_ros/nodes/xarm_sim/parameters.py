@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
-from dotsim_ros.control.arm.simulated import LONGEST_DELAY_S, ArmFaults, ArmLimits, ArmResponse
+from dotsim_ros.control.arm.command import ToolLimits
+from dotsim_ros.control.arm.simulated import ArmFaults, ArmResponse
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.quantity import check_fields, quantity
 from dotsim_ros.nodes.common.parameters import FREE, READ_ONLY
@@ -20,11 +21,17 @@ from dotsim_ros.nodes.common.parameters import FREE, READ_ONLY
 class XarmSimParameters:
     """Parameters of `xarm_sim`; each field says what it is.
 
+    The greatest speeds and accelerations are by default those that UFACTORY states for the tool of
+    its arms and, for its turning, those of a joint (180 degrees/s, 1146 degrees/s^2).
+
     Raises:
         ValueError: a value out of its range, a pose that is none, or frames that are the same.
     """
 
     FIXED: ClassVar[str] = READ_ONLY
+
+    response: ArmResponse = field(default=ArmResponse())
+    faults: ArmFaults = field(default=ArmFaults())
 
     rate_hz: float = quantity(
         100.0,
@@ -63,25 +70,6 @@ class XarmSimParameters:
     publish_indenter: bool = quantity(
         True, help="Publish indenter/pose, which moves the indenter of tactile_sim.", fixed=FREE
     )
-    latency_s: float = quantity(
-        0.01, help="Latency from a command to its first effect.", low=0.0, high=1.0
-    )
-    jitter_s: float = quantity(
-        0.002,
-        help="Standard deviation of the random delay added to the latency; the delay is never "
-        "negative.",
-        low=0.0,
-        high=1.0,
-    )
-    time_constant_s: float = quantity(
-        0.02,
-        help="Time constant of the first-order lag of the velocity behind the commanded one.",
-        low=0.001,
-        high=10.0,
-    )
-    stale_s: float = quantity(
-        0.2, help="The arm stops after this time without a command.", low=0.02, high=10.0
-    )
     seed: int = quantity(0, help="Seed of the jitter.", low=0, high=2**31 - 1)
     speed_limit_m_s: float = quantity(1.0, help="Speed limit of the tool.", low=0.001, high=1.0)
     angular_speed_limit_rad_s: float = quantity(
@@ -100,19 +88,6 @@ class XarmSimParameters:
         low=0.01,
         high=10.0,
     )
-    fail_drop_feedback: bool = quantity(
-        False, help="Injected failure: poses, velocities and joints are not published.", fixed=FREE
-    )
-    fail_delay_s: float = quantity(
-        0.0,
-        help="Injected failure: commands act, and feedback is published, this much later.",
-        low=0.0,
-        high=LONGEST_DELAY_S,
-        fixed=FREE,
-    )
-    fail_stop: bool = quantity(
-        False, help="Injected failure: the arm brakes and stays at rest.", fixed=FREE
-    )
     diagnostics_period_s: float = quantity(
         1.0, help="Period of the diagnostics.", low=0.05, high=60.0
     )
@@ -128,30 +103,14 @@ class XarmSimParameters:
                 "not be empty"
             )
 
-    def limits(self) -> ArmLimits:
-        """Return what the tool may do."""
-        return ArmLimits(
-            linear_m_s=self.speed_limit_m_s,
-            angular_rad_s=self.angular_speed_limit_rad_s,
-            linear_m_s2=self.acceleration_limit_m_s2,
-            angular_rad_s2=self.angular_acceleration_limit_rad_s2,
-        )
-
-    def response(self) -> ArmResponse:
-        """Return how the arm answers a command."""
-        return ArmResponse(
-            latency_s=self.latency_s,
-            jitter_s=self.jitter_s,
-            time_constant_s=self.time_constant_s,
-            stale_s=self.stale_s,
-        )
-
-    def faults(self) -> ArmFaults:
-        """Return what shall fail."""
-        return ArmFaults(
-            drops_feedback=self.fail_drop_feedback,
-            delay_s=self.fail_delay_s,
-            is_stopped=self.fail_stop,
+    @property
+    def tool(self) -> ToolLimits:
+        """What the tool may do, whatever it is commanded."""
+        return ToolLimits(
+            self.speed_limit_m_s,
+            self.angular_speed_limit_rad_s,
+            self.acceleration_limit_m_s2,
+            self.angular_acceleration_limit_rad_s2,
         )
 
 
