@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import Executable
+from harness import Executable, measured_until
 from hostile import lines_of
 from policy_rig import (
     FOLLOWED,
@@ -24,7 +24,6 @@ from policy_rig import (
     Command,
     Rig,
     policy_and_rig,
-    stopping_times_s,
     with_white_spot,
     write_network,
 )
@@ -159,7 +158,7 @@ def test_disabled_it_goes_on_with_zeros(rig: Rig) -> None:
         assert rig.enable(False).success
         return rig.rest_s(begun_s) - begun_s
 
-    stopping_times_s(stop, limit_s=SLACK_S)
+    measured_until(stop, below=SLACK_S, never=1.0)
     stopped_s = time.time()
     rig.wait(lambda: len(rig.after(stopped_s)) > 5, "more commands")
     assert not any(command.moves() for command in rig.after(stopped_s))
@@ -243,7 +242,11 @@ def test_a_fault_at_a_random_moment_stops_the_arm_in_time(rig: Rig, name: str) -
         return rig.rest_s(since_s) - since_s
 
     count = max(1, int(os.environ.get("DOTSIM_FAULTS", "0")) // len(FAULTS))
-    times_s = [t for _ in range(count) for t in stopping_times_s(stop, limit_s=STOP_S + SLACK_S)]
+    times_s = [
+        time_s
+        for _ in range(count)
+        for time_s in measured_until(stop, below=STOP_S + SLACK_S, never=1.0)
+    ]
     in_time = sum(time_s <= STOP_S for time_s in times_s)
     print(f"{in_time} of {len(times_s)} within 80 ms, the slowest {1e3 * max(times_s):.0f} ms")
     assert words in rig.wait_for_reason(state, reason).message

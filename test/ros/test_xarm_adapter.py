@@ -25,7 +25,7 @@ import hostile
 import numpy as np
 import pytest
 import rclpy
-from arm_rig import ArmClient, arm_client
+from arm_rig import ArmClient
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from harness import (
     Executable,
@@ -172,7 +172,7 @@ def started(xarm_package: Path) -> Iterator[Rig]:
     try:
         with (
             running(MODULE, parameters=PARAMETERS) as adapter,
-            arm_client("xarm_adapter", {"ee_pose": PoseStamped}) as client,
+            ArmClient("xarm_adapter", {"ee_pose": PoseStamped}) as client,
         ):
             client.meet()
             yield Rig(driver, adapter, client)

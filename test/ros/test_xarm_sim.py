@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from arm_rig import ArmClient, arm_client
+from arm_rig import ArmClient
 from harness import Executable, measured_until, running
 
 import msg_adapters
@@ -31,7 +31,7 @@ Session = tuple[Executable, ArmClient]
 def session() -> Iterator[Session]:
     with (
         running(MODULE, parameters={"diagnostics_period_s": 0.1}) as executable,
-        arm_client("xarm_sim") as client,
+        ArmClient("xarm_sim") as client,
     ):
         client.meet()
         yield executable, client
