@@ -10,7 +10,7 @@ from pathlib import Path
 
 from dotsim_ros.control.loop.recording import LoopRecording
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
+from dotsim_ros.nodes.loop.closed_loop import POLICY, ClosedLoop, LoopSetup, policy_name
 from studies.trajectory.trials import Setting
 
 
@@ -56,7 +56,7 @@ class TrialLoop:
                 self._loop.start(path)
                 self._setting, self._path = setting, path
             if path != self._path:
-                self._loop.start_policy(path)
+                self._loop.start(path, order=(POLICY,))
                 self._path = path
             return self._loop.trial(start_m, seconds)
         except OSError:

@@ -10,6 +10,7 @@ The sensor, the policy and the arm are the executables that a user starts, with 
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -177,24 +178,9 @@ class ClosedLoop:
         """Return a node's process."""
         return self._processes[executable]
 
-    def start_sensor(self) -> None:
-        """Start the sensor, or another one in place of the one that runs."""
-        self._start((SENSOR,))
-
-    def start_policy(self, path: str) -> None:
-        """Start the policy for a path, in place of the one that runs, and show it the sensor at
-        rest."""
-        self._start((POLICY,), path)
-        self.rest()
-        self.calibrate_idle()
-
-    def start_stand_ins(self) -> None:
-        """Start the arm and the sensor, for a controller of the user's."""
-        self._start((ARM, SENSOR))
-
     def start(self, path: str, *, order: Sequence[str] = (ARM, SENSOR, POLICY)) -> None:
-        """Start all nodes at once in an order, the policy for a path, and show it the sensor at
-        rest."""
+        """Start nodes in an order, the policy for a path, in place of those that run, and show it
+        the sensor at rest."""
         if self.setup.one_process:
             parameters = {
                 f"{node}:{name}": value
@@ -206,11 +192,12 @@ class ClosedLoop:
                 self._await(COMPOSED, f"[{executable}]: ready:")
             self._expect()
         else:
-            self._start(order, path)
+            self.start_nodes(*order, path=path)
         self.rest()
         self.calibrate_idle()
 
-    def _start(self, executables: Sequence[str], path: str = "") -> None:
+    def start_nodes(self, *executables: str, path: str = "") -> None:
+        """Start nodes at once, in place of those that run; the policy for a path."""
         for executable in executables:
             is_policy = executable == POLICY
             self._launch(
@@ -446,9 +433,7 @@ class ClosedLoop:
             self._finish_bag()
         return self.recording(
             {
-                "stops": {
-                    k: n - before.get(k, 0) for k, n in after.items() if n > before.get(k, 0)
-                },
+                "stops": dict(Counter(after) - Counter(before)),
                 "state": state,
                 "reason": reason,
                 "detail": detail,
