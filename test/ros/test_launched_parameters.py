@@ -307,6 +307,18 @@ def test_nodes_can_take_what_they_are_launched_with(what: str) -> None:
         assert not [name for name in set(found) - set(fields) if nearest(name, fields)]
 
 
+@pytest.mark.parametrize(
+    ("one_process", "executables"),
+    [
+        ("false", set(CLASSES) - {"indenter_player"}),
+        ("true", {"dotsim_closed_loop", "tactile_record", "time_stepper"}),
+    ],
+)
+def test_the_nodes_of_a_loop_are_started(one_process: str, executables: set[str]) -> None:
+    given = {"one_process": one_process, "clock": "simulated", "record": "true"}
+    assert {node.executable for node in started(LOOP, **given)} == executables
+
+
 @pytest.mark.parametrize("what", LAUNCHES)
 def test_every_launch_file_takes_the_sensor_that_is_given(write: WriteFile, what: str) -> None:
     launch, given = LAUNCHES[what]

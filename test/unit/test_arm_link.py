@@ -13,7 +13,6 @@ from dotsim_ros.control.arm.command import check_plausible
 from dotsim_ros.nodes.xarm_adapter.link import Hindrance, VelocityLink
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
 from msg_adapters import decode_robot_state, encode_move_velocity
-from msg_adapters.xarm import quaternion_of_roll_pitch_yaw
 
 
 def robot_message(**changes):
@@ -50,18 +49,6 @@ def test_millimetres_and_roll_pitch_yaw_become_a_pose():
     assert (found * expected.inv()).magnitude() == pytest.approx(0.0, abs=1e-9)
     assert (robot.error, robot.warning, robot.mode, robot.state) == (3, 4, 5, 2)
     np.testing.assert_allclose(robot.joints_rad, 0.1)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_roll_pitch_yaw_is_the_product_that_the_manual_gives(seed):
-    roll, pitch, yaw = np.random.default_rng(seed).uniform(-np.pi, np.pi, 3)
-    product = (
-        Rotation.from_rotvec([0.0, 0.0, yaw])
-        * Rotation.from_rotvec([0.0, pitch, 0.0])
-        * Rotation.from_rotvec([roll, 0.0, 0.0])
-    )
-    found = Rotation.from_quat(quaternion_of_roll_pitch_yaw(roll, pitch, yaw))
-    assert (found * product.inv()).magnitude() == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(
