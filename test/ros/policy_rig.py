@@ -10,7 +10,7 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Lock, Thread
@@ -383,7 +383,7 @@ def policy_and_rig(
         along_tool = given.get("command_frame", "link_tcp") == "link_tcp"
         how = {"compressed": compressed, "along_tool": along_tool, "has_forces": has_forces}
         try:
-            with Rig(namespace, **how, now_ns=now_ns) as rig:
+            with closing(Rig(namespace, **how, now_ns=now_ns)) as rig:
                 yield executable, rig
         finally:
             with suppress(PermissionError):

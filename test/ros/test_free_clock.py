@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ def test_the_arm_goes_by_the_simulated_time() -> None:
     with (
         free_clock(speed=SLOWNESS) as clock,
         running("dotsim_ros.nodes.xarm_sim.node", parameters={"use_sim_time": True}),
-        ArmClient("xarm_sim") as client,
+        closing(ArmClient("xarm_sim")) as client,
     ):
         client.meet()
         to_the_right = lambda _: ((SPEED_M_S, 0.0, 0.0), (0.0, 0.0, 0.0))  # noqa: E731

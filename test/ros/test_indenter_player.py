@@ -4,6 +4,7 @@
 """`indenter_player` as a process, its poses read over DDS."""
 
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -71,7 +72,7 @@ def played(listener, **parameters):
 
 
 def test_scripted_press_arrives_whole_and_in_order():
-    with Listener() as listener:
+    with closing(Listener()) as listener:
         played(listener, source="press", depth_m=0.001, hold_s=0.1)
     depths = RADIUS_M - np.linalg.norm(listener.positions_m(), axis=1)
     assert depths[0] == pytest.approx(-0.002)
@@ -85,7 +86,7 @@ def test_scripted_press_arrives_whole_and_in_order():
 
 def test_real_presses_play_in_the_order_asked_for():
     numbers = [3, 0]
-    with Listener() as listener:
+    with closing(Listener()) as listener:
         played(
             listener,
             source="presses",
@@ -120,7 +121,7 @@ def test_bag_plays_its_own_poses_at_its_own_times(tmp_path):
     )
     topics = Topics(pose="/arm/tip")
     write_trajectory(tmp_path / "bag", Trajectory(pose=channel), topics=topics)
-    with Listener() as listener:
+    with closing(Listener()) as listener:
         played(listener, source="bag", path=tmp_path / "bag", bag_topic="/arm/tip")
     assert np.array_equal(listener.positions_m(), channel.position_m)
     assert np.array_equal(np.diff(listener.stamps_ns()), np.diff(stamps))
@@ -129,7 +130,7 @@ def test_bag_plays_its_own_poses_at_its_own_times(tmp_path):
 
 def test_lockstep_sends_a_pose_only_after_the_answer_to_the_one_before():
     # Each answer takes longer than the period of the poses.
-    with Listener(answer_after_s=0.02) as listener:
+    with closing(Listener(answer_after_s=0.02)) as listener:
         played(listener, **SHORT, wait_for_answer="true")
     # When a pose was written, not when it was read: they are read one after the other in any case.
     written_ns, answered_ns = np.array(listener.written_ns), np.array(listener.answered_ns)
@@ -138,7 +139,7 @@ def test_lockstep_sends_a_pose_only_after_the_answer_to_the_one_before():
 
 
 def test_lockstep_goes_on_without_an_answer():
-    with Listener() as listener:
+    with closing(Listener()) as listener:
         log = played(listener, **SHORT, rate_hz=20.0, wait_for_answer="true", answer_timeout_s=0.02)
     assert "no wrench answers" in log
 
@@ -146,7 +147,7 @@ def test_lockstep_goes_on_without_an_answer():
 def test_loop_goes_on_until_it_is_interrupted():
     parameters = {"loop": "true", **SHORT}
     with (
-        Listener() as listener,
+        closing(Listener()) as listener,
         running(MODULE, parameters=parameters) as player,
     ):
         listener.wait_for(60)  # a pass holds 21
@@ -157,7 +158,7 @@ def test_loop_goes_on_until_it_is_interrupted():
 
 def test_a_clock_that_stands_still_does_not_hold_the_end_up():
     """Simulated time that is stopped: a pause, or a simulation that has died."""
-    with Listener() as listener:
+    with closing(Listener()) as listener:
         clock = listener.node.create_publisher(Clock, "/clock", KEEP_ALL)
         with running(MODULE, parameters={"use_sim_time": "true"}) as player:
             told_ns = 10**9
@@ -211,7 +212,7 @@ def test_where_time_begins_again_the_motion_does_and_a_leap_is_left_out():
     parameters = {"use_sim_time": True, "depth_m": 0.002, "hold_s": 30.0}
     with (
         free_clock(speed=1.0) as clock,
-        Listener() as listener,
+        closing(Listener()) as listener,
         running(MODULE, parameters=parameters),
     ):
         listener.wait_for(30)

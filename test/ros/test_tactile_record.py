@@ -7,6 +7,7 @@ import re
 import resource
 import signal
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -105,7 +106,7 @@ def test_everything_that_is_published_is_in_the_bag(tmp_path):
     path = tmp_path / "bag"
     frames = [frame(index) for index in range(COUNT)]
     with (
-        Source() as source,
+        closing(Source()) as source,
         recording(output=path) as recorder,
     ):
         source.meet(*TOPICS)
@@ -141,7 +142,7 @@ def test_everything_that_is_published_is_in_the_bag(tmp_path):
 @pytest.mark.fault("recording", "a camera's driver publishes as sensor data, of best effort")
 def test_what_is_published_without_delivery_is_recorded(tmp_path, answered):
     with (
-        Source() as source,
+        closing(Source()) as source,
         recording(output=tmp_path / "bag", topics="['image_raw','wrench']") as recorder,
     ):
         source.meet("image_raw", "wrench")
@@ -168,7 +169,7 @@ def test_what_the_disk_does_not_take_is_dropped_and_told(tmp_path):
     )
     parameters = {"output": tmp_path / "bag", "queue_mb": 1}
     with (
-        Source() as source,
+        closing(Source()) as source,
         recording(**parameters) as recorder,
     ):
         source.meet("image_raw", "wrench")
@@ -257,7 +258,7 @@ def test_chosen_topics_up_to_the_end_of_the_terminal_with_a_stamp_that_is_no_tim
 ):
     path = tmp_path / "bag"
     topics = "['wrench','image_raw','indenter/pose=geometry_msgs/msg/PoseStamped']"
-    with Source() as source, recording(output=path, topics=topics) as recorder:
+    with closing(Source()) as source, recording(output=path, topics=topics) as recorder:
         source.meet("wrench", "indenter/pose")
         source.send_forces(range(100))
         source.send("wrench", wrench(100, stamp_s=-5))
@@ -282,7 +283,7 @@ def test_chosen_topics_up_to_the_end_of_the_terminal_with_a_stamp_that_is_no_tim
 @pytest.mark.fault("recording", "the recorder is killed (SIGKILL) after a second")
 def test_a_killed_recorder_leaves_what_it_wrote(tmp_path, capsys, answered):
     path = tmp_path / "bag"
-    with Source() as source, recording(output=path, topics="['wrench']") as recorder:
+    with closing(Source()) as source, recording(output=path, topics="['wrench']") as recorder:
         source.meet("wrench")
         source.send_forces(range(100))
         source.deliver()
@@ -308,7 +309,7 @@ def test_a_killed_recorder_leaves_what_it_wrote(tmp_path, capsys, answered):
 def test_a_full_disk_keeps_what_is_written(tmp_path, answered):
     path = tmp_path / "bag"
     image = np.random.default_rng(0).integers(0, 256, (240, 320, 3), dtype=np.uint8)
-    with Source() as source, recording(output=path, topics="['image_raw']") as recorder:
+    with closing(Source()) as source, recording(output=path, topics="['image_raw']") as recorder:
         source.meet("image_raw")
         resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (3 * 2**20, 3 * 2**20))
         for number in range(40):

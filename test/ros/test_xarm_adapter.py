@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -172,7 +173,7 @@ def started(xarm_package: Path) -> Iterator[Rig]:
     try:
         with (
             running(MODULE, parameters=PARAMETERS) as adapter,
-            ArmClient("xarm_adapter", {"ee_pose": PoseStamped}) as client,
+            closing(ArmClient("xarm_adapter", {"ee_pose": PoseStamped})) as client,
         ):
             client.meet()
             yield Rig(driver, adapter, client)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ Session = tuple[Executable, ArmClient]
 def session() -> Iterator[Session]:
     with (
         running(MODULE, parameters={"diagnostics_period_s": 0.1}) as executable,
-        ArmClient("xarm_sim") as client,
+        closing(ArmClient("xarm_sim")) as client,
     ):
         client.meet()
         yield executable, client

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,7 +20,7 @@ import msg_adapters
 
 
 class Watcher:
-    """A node with a context of its own; a context manager, which closes it.
+    """A node with a context of its own.
 
     Attributes:
         diagnostics: the newest state of each part of each node, by name.
@@ -34,12 +34,6 @@ class Watcher:
         self.node = rclpy.create_node(name, context=self._context, namespace=namespace)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._thread = spin_in_background(self.node)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_exception: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Leave the graph."""

@@ -37,7 +37,7 @@ from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
 from dotsim_ros.nodes.simulated_time.participants import Participant
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
-from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
 
 SENSOR, ARM, POLICY, RECORDER = "tactile_sim", "xarm_sim", "tactile_policy", "tactile_record"
 COMPOSED = "closed_loop"
@@ -90,10 +90,7 @@ class LoopSetup:
     def places(self) -> LoopPlaces:
         """Return where the arm starts."""
         settings = from_values(XarmSimParameters, loop_parameters(ARM) | dict(self.arm_parameters))
-        return LoopPlaces(
-            pose_of(settings.start_pose, "start_pose"),
-            pose_of(settings.tool_from_sensor, "tool_from_sensor"),
-        )
+        return LoopPlaces(settings.pose("start_pose"), settings.pose("tool_from_sensor"))
 
 
 def loop_parameters(executable: str) -> dict[str, Any]:

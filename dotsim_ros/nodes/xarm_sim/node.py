@@ -29,7 +29,7 @@ from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.common.velocity_input import VelocityInput
-from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
 from msg_adapters import Level, Status
 
 FEEDBACK_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
@@ -91,7 +91,7 @@ class XarmSim(WorkingNode):
         settings = self._settings
         kinematics = ArmKinematics(joint_speed_rad_s=settings.joint_speed_limit_rad_s)
         try:
-            joints = kinematics.joints_at(pose_of(settings.start_pose, "start_pose"))
+            joints = kinematics.joints_at(settings.pose("start_pose"))
         except ValueError as error:
             raise ValueError(f"start_pose: {error}") from None
         kinematics.posture_rad = joints
@@ -108,8 +108,8 @@ class XarmSim(WorkingNode):
 
     def _place_indenter(self) -> None:
         settings = self._settings
-        self._indenter = pose_of(settings.indenter_pose, "indenter_pose")
-        self._sensor = pose_of(settings.tool_from_sensor, "tool_from_sensor")
+        self._indenter = settings.pose("indenter_pose")
+        self._sensor = settings.pose("tool_from_sensor")
 
     def _tick(self) -> None:
         now_s, ahead_ns = self._clocks()

@@ -95,7 +95,7 @@ class XarmSimParameters:
     def __post_init__(self) -> None:
         check_fields("", self)
         for name in ("start_pose", "tool_from_sensor", "indenter_pose"):
-            pose_of(getattr(self, name), name)
+            self.pose(name)
         frames = (self.base_frame, self.tool_frame, self.sensor_frame)
         if "" in frames or len(set(frames)) < 3:
             raise ValueError(
@@ -113,18 +113,14 @@ class XarmSimParameters:
             self.angular_acceleration_limit_rad_s2,
         )
 
+    def pose(self, name: str) -> Pose:
+        """Return the pose that a parameter gives as x, y, z and a quaternion x, y, z, w.
 
-def pose_of(numbers: tuple[float, ...], name: str) -> Pose:
-    """Return the pose of x, y, z and a quaternion x, y, z, w.
-
-    Raises:
-        ValueError: another count of numbers, or a quaternion that is not of unit length.
-    """
-    if len(numbers) != 7:
-        raise ValueError(
-            f"{name} needs 7 numbers, x, y, z and the quaternion x, y, z, w; got {len(numbers)}"
-        )
-    try:
-        return Pose(np.array(numbers[:3]), np.array(numbers[3:]))
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+        Raises:
+            ValueError: the quaternion is not of unit length.
+        """
+        numbers = np.array(getattr(self, name))
+        try:
+            return Pose(numbers[:3], numbers[3:])
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
