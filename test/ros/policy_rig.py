@@ -120,6 +120,22 @@ class Command:
         return bool(self.twist.any())
 
 
+USUAL = {
+    "crop": idle_crop(),
+    "has_images": True,
+    "has_poses": True,
+    "has_forces": True,
+    "image_lag_s": 0.0,
+    "pose_lag_s": 0.0,
+    "force_lag_s": 0.0,
+    "image_frame": "densetact_optical_frame",
+    "pose_frame": "link_base",
+    "encoding": "rgb8",
+    "force_n": 0.0,
+}
+"""The streams of a rig as they should be."""
+
+
 class Rig(Watcher):
     """Images at 25 Hz, an arm that obeys at once at 100 Hz, and a force; reads what the node says,
     and calls its services.
@@ -161,15 +177,8 @@ class Rig(Watcher):
         self.commands: list[Command] = []
         self.tool = Pose((0.3, 0.0, 0.2), DOWN)
         self._prefix = f"{namespace}/"
-        self.idle = idle_crop()
-        self.crop = self.idle
-        self.has_images = self.has_poses = True
-        self.has_forces = has_forces
-        self.image_lag_s = self.pose_lag_s = self.force_lag_s = 0.0
-        self.image_frame = "densetact_optical_frame"
-        self.pose_frame = "link_base"
-        self.encoding = "rgb8"
-        self.force_n = 0.0
+        self.idle = USUAL["crop"]
+        vars(self).update(USUAL, has_forces=has_forces)
         self.last_image_s = self.last_pose_s = self.last_wrench_s = 0.0
         self._axes = TwistFrame.OWN if along_tool else TwistFrame.PARENT
         self._compressed = compressed
@@ -268,22 +277,11 @@ class Rig(Watcher):
 
     def _mend(self) -> bool:
         """Let the streams be as they should; return whether they were not."""
-        usual = {
-            "crop": self.idle,
-            "has_images": True,
-            "has_poses": True,
-            "has_forces": True,
-            "image_lag_s": 0.0,
-            "pose_lag_s": 0.0,
-            "force_lag_s": 0.0,
-            "image_frame": "densetact_optical_frame",
-            "pose_frame": "link_base",
-            "force_n": 0.0,
-        }
-        is_spoilt = [not np.array_equal(getattr(self, name), each) for name, each in usual.items()]
-        for name, each in usual.items():
-            setattr(self, name, each)
-        return any(is_spoilt)
+        is_spoilt = any(
+            not np.array_equal(getattr(self, name), value) for name, value in USUAL.items()
+        )
+        vars(self).update(USUAL)
+        return is_spoilt
 
     def next_image_s(self) -> float:
         """Wait for an image that is sent from now on and return when it was."""

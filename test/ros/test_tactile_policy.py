@@ -394,7 +394,6 @@ def test_the_order_of_the_colours_is_that_of_the_encoding(rig: Rig) -> None:
     # Read wrongly, the colours would differ from those of the idle image.
     assert float(rig.state("inference").values["image_distance"]) == distance
     rig.wait(lambda: rig.state().values["state"] == "running", "a steady motion")
-    rig.encoding = "rgb8"
 
 
 def test_two_senders_on_a_topic_are_no_start(rig: Rig) -> None:

@@ -276,10 +276,10 @@ def test_a_policy_that_fails_is_latched_and_its_last_command_is_not_given_any_mo
     loop = InferenceLoop(
         node,  # type: ignore[arg-type]
         TactilePolicyParameters(maximum_image_distance=1.0),
+        SimpleNamespace(image_after=lambda last, until_s: image),  # type: ignore[arg-type]
+        rig.control,
+        Beat(0.04, ticks=4, start_s=rig.now_s, margin_s=0.005),
         policy,  # type: ignore[arg-type]
-        inputs=SimpleNamespace(image_after=lambda last, until_s: image),  # type: ignore[arg-type]
-        control=rig.control,
-        beat=Beat(0.04, ticks=4, start_s=rig.now_s, margin_s=0.005),
     )
     loop.idle = np.zeros((2, 3, 3), np.uint8)
     loop.run(rig.now_s)

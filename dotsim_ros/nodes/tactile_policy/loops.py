@@ -63,11 +63,10 @@ class InferenceLoop:
         self,
         node: WorkingNode,
         settings: TactilePolicyParameters,
-        policy: Policy,
-        *,
         inputs: PolicyInputs,
         control: ArmControl,
         beat: Beat,
+        policy: Policy,
     ) -> None:
         self._node, self._policy = node, policy
         self._inputs, self._control, self._beat = inputs, control, beat
@@ -207,12 +206,11 @@ class ControlLoop:
         self,
         node: WorkingNode,
         settings: TactilePolicyParameters,
-        publisher: Publisher,
-        *,
         inputs: PolicyInputs,
         control: ArmControl,
         beat: Beat,
         inference: InferenceLoop,
+        publisher: Publisher,
     ) -> None:
         self._node, self._publisher = node, publisher
         self._inputs, self._control, self._beat = inputs, control, beat

@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
@@ -22,7 +22,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 
 from dotsim_ros.control.arm.command import zero_twist
-from dotsim_ros.control.policy.network import load_policy
+from dotsim_ros.control.policy.network import Policy, load_policy
 from dotsim_ros.control.safety_layer.arm_control import ArmControl
 from dotsim_ros.control.safety_layer.limits import CONTROL_RATE_HZ, POLICY_RATE_HZ, State
 from dotsim_ros.io.documents import value_text
@@ -36,9 +36,6 @@ from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
 from dotsim_ros.nodes.tactile_policy.inputs import NO_FORCE, NO_FORCE_LIMIT, PolicyInputs
 from dotsim_ros.nodes.tactile_policy.loops import INFERENCE_BROKEN, ControlLoop, InferenceLoop
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
-
-if TYPE_CHECKING:
-    from dotsim_ros.control.policy.network import Policy
 from msg_adapters import Status
 
 COMMAND_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
@@ -50,7 +47,7 @@ SWITCH_INTERVAL_S = 0.0005
 """How long Python lets a thread run before another one that waits: the control loop has little time
 to wait for the interpreter; the default is 5 ms."""
 
-Loader = Callable[[Path, str], "Policy"]
+Loader = Callable[[Path, str], Policy]
 
 
 class TactilePolicy(WorkingNode):
@@ -78,11 +75,9 @@ class TactilePolicy(WorkingNode):
             start_s=self.now_s(),
             margin_s=IMAGE_MARGIN_S,
         )
-        shared: dict[str, Any] = {"inputs": self._inputs, "control": self._control, "beat": beat}
-        self._inference = InferenceLoop(self, self._settings, self._policy, **shared)
-        self._loop = ControlLoop(
-            self, self._settings, self._commands, **shared, inference=self._inference
-        )
+        shared = self, self._settings, self._inputs, self._control, beat
+        self._inference = InferenceLoop(*shared, self._policy)
+        self._loop = ControlLoop(*shared, self._inference, self._commands)
         if self._settings.idle_image:
             idle = read_image(Path(self._settings.idle_image))
             # Refuses one that the policy cannot use.
