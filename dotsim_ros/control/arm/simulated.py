@@ -42,25 +42,14 @@ class ArmResponse:
         ValueError: a value out of its range.
     """
 
-    latency_s: float = quantity(
-        0.01, help="Latency from a command to its first effect.", low=0.0, high=1.0
-    )
-    jitter_s: float = quantity(
-        0.002,
-        help="Standard deviation of the random delay added to the latency; the delay is never "
-        "negative.",
-        low=0.0,
-        high=1.0,
-    )
-    time_constant_s: float = quantity(
-        0.02,
-        help="Time constant of the first-order lag of the velocity behind the commanded one.",
-        low=0.001,
-        high=10.0,
-    )
-    stale_s: float = quantity(
-        0.2, help="The arm stops after this time without a command.", low=0.02, high=10.0
-    )
+    latency_s: float = quantity(0.01, low=0.0, high=1.0)
+    """Latency from a command to its first effect."""
+    jitter_s: float = quantity(0.002, low=0.0, high=1.0)
+    """Standard deviation of the random delay added to the latency; the delay is never negative."""
+    time_constant_s: float = quantity(0.02, low=0.001, high=10.0)
+    """Time constant of the first-order lag of the velocity behind the commanded one."""
+    stale_s: float = quantity(0.2, low=0.02, high=10.0)
+    """The arm stops after this time without a command."""
 
     def __post_init__(self) -> None:
         check_fields("", self)
@@ -76,16 +65,12 @@ class ArmFaults:
 
     FIXED: ClassVar[str] = ""
 
-    fail_drop_feedback: bool = quantity(
-        False, help="Injected failure: poses, velocities and joints are not published."
-    )
-    fail_delay_s: float = quantity(
-        0.0,
-        help="Injected failure: commands act, and feedback is published, this much later.",
-        low=0.0,
-        high=2.0,
-    )
-    fail_stop: bool = quantity(False, help="Injected failure: the arm brakes and stays at rest.")
+    fail_drop_feedback: bool = quantity(False)
+    """Injected failure: poses, velocities and joints are not published."""
+    fail_delay_s: float = quantity(0.0, low=0.0, high=2.0)
+    """Injected failure: commands act, and feedback is published, this much later."""
+    fail_stop: bool = quantity(False)
+    """Injected failure: the arm brakes and stays at rest."""
 
     def __post_init__(self) -> None:
         check_fields("", self)

@@ -50,39 +50,21 @@ class ControlSettings:
         ValueError: a value out of its range.
     """
 
-    command_frame: str = quantity(
-        TOOL_FRAME,
-        help="Axes of the commands: those of the tool, or those of the arm's base.",
-        choices=(TOOL_FRAME, BASE_FRAME),
-    )
-    command_rate_hz: float = quantity(
-        POLICY_RATE_HZ,
-        help="25: each command of the policy is published once; 100: commands between them are "
-        "interpolated linearly.",
-        low=POLICY_RATE_HZ,
-        high=CONTROL_RATE_HZ,
-    )
-    command_lead_s: float = quantity(
-        0.0,
-        help="How long after its image a command takes effect: the commands are extrapolated by as "
-        "much. 0: they are published as they are.",
-        low=0.0,
-        high=0.2,
-    )
-    hold_orientation: bool = quantity(
-        True,
-        help="Turn the tool back to its orientation when the node was enabled, which touch alone "
-        "does not identify.",
-    )
-    orientation_gain_per_s: float = quantity(
-        2.0,
-        help="Gain of that rotation: angular speed for each radian of error.",
-        low=0.01,
-        high=20.0,
-    )
-    orientation_limit_rad_s: float = quantity(
-        0.1, help="Limit of the angular speed of that rotation.", low=1e-3, high=4.0
-    )
+    command_frame: str = quantity(TOOL_FRAME, choices=(TOOL_FRAME, BASE_FRAME))
+    """Axes of the commands: those of the tool, or those of the arm's base."""
+    command_rate_hz: float = quantity(POLICY_RATE_HZ, low=POLICY_RATE_HZ, high=CONTROL_RATE_HZ)
+    """25: each command of the policy is published once; 100: commands between them are interpolated
+    linearly."""
+    command_lead_s: float = quantity(0.0, low=0.0, high=0.2)
+    """How long after its image a command takes effect: the commands are extrapolated by as much. 0:
+    they are published as they are."""
+    hold_orientation: bool = quantity(True)
+    """Turn the tool back to its orientation when the node was enabled, which touch alone does not
+    identify."""
+    orientation_gain_per_s: float = quantity(2.0, low=0.01, high=20.0)
+    """Gain of that rotation: angular speed for each radian of error."""
+    orientation_limit_rad_s: float = quantity(0.1, low=1e-3, high=4.0)
+    """Limit of the angular speed of that rotation."""
 
     def __post_init__(self) -> None:
         check_fields("", self)

@@ -63,74 +63,40 @@ class SafetyLimits:
             another.
     """
 
-    maximum_linear_m_s: float = quantity(0.05, help="Speed limit of the tool.", low=1e-4, high=1.0)
-    maximum_angular_rad_s: float = quantity(
-        0.4, help="Limit of the tool's angular speed.", low=1e-3, high=4.0
-    )
-    maximum_linear_m_s2: float = quantity(
-        2.5, help="Limit of the tool's linear acceleration.", low=0.01, high=50.0
-    )
-    maximum_angular_rad_s2: float = quantity(
-        20.0, help="Limit of the tool's angular acceleration.", low=0.1, high=500.0
-    )
-    workspace_m: tuple[float, float, float] = quantity(
-        (0.12, 0.12, 0.04),
-        help="Edges of the box that the tool may not leave, along the base's axes, around the pose "
-        "at which the node was enabled.",
-        low=1e-3,
-        high=2.0,
-    )
-    maximum_turn_rad: float = quantity(
-        0.35,
-        help="Largest angle by which the tool may be turned from its orientation when the node was "
-        "enabled.",
-        low=1e-3,
-        high=3.0,
-    )
-    reaction_s: float = quantity(
-        0.1,
-        help="How long the arm continues before a command takes effect; the margin kept to the "
-        "workspace's border follows from it.",
-        low=0.0,
-        high=1.0,
-    )
-    stop_within_s: float = quantity(
-        0.08,
-        help="The commands are zero at the latest this long after the last image, pose or force.",
-        low=0.06,
-        high=1.0,
-    )
-    maximum_delay_s: float = quantity(
-        0.25,
-        help="A message that arrives later than this after its stamp stops the arm.",
-        low=0.01,
-        high=1e9,
-    )
-    resume_when_fresh: bool = quantity(
-        True,
-        help="Resume without a call once messages that were late arrive again; otherwise "
-        "set_enabled is needed.",
-    )
-    force_limit_n: float = quantity(
-        8.0,
-        help="Force on the topic wrench above which the tool retreats. 0: the sensor measures no "
-        "force, the topic is not read, and nothing limits the force.",
-        low=0.0,
-        high=1000.0,
-    )
-    force_release_share: float = quantity(
-        0.8, help="The retreat ends below this share of the limit.", low=0.01, high=1.0
-    )
-    retreat_m_s: float = quantity(
-        0.01, help="Speed of the retreat, along -z of the tool.", low=1e-4, high=1.0
-    )
-    retreat_m: float = quantity(
-        0.02,
-        help="If the force is still too large after a retreat of this length, the arm stops until "
-        "it is enabled again.",
-        low=1e-4,
-        high=0.5,
-    )
+    maximum_linear_m_s: float = quantity(0.05, low=1e-4, high=1.0)
+    """Speed limit of the tool."""
+    maximum_angular_rad_s: float = quantity(0.4, low=1e-3, high=4.0)
+    """Limit of the tool's angular speed."""
+    maximum_linear_m_s2: float = quantity(2.5, low=0.01, high=50.0)
+    """Limit of the tool's linear acceleration."""
+    maximum_angular_rad_s2: float = quantity(20.0, low=0.1, high=500.0)
+    """Limit of the tool's angular acceleration."""
+    workspace_m: tuple[float, float, float] = quantity((0.12, 0.12, 0.04), low=1e-3, high=2.0)
+    """Edges of the box that the tool may not leave, along the base's axes, around the pose at which
+    the node was enabled."""
+    maximum_turn_rad: float = quantity(0.35, low=1e-3, high=3.0)
+    """Largest angle by which the tool may be turned from its orientation when the node was
+    enabled."""
+    reaction_s: float = quantity(0.1, low=0.0, high=1.0)
+    """How long the arm continues before a command takes effect; the margin kept to the workspace's
+    border follows from it."""
+    stop_within_s: float = quantity(0.08, low=0.06, high=1.0)
+    """The commands are zero at the latest this long after the last image, pose or force."""
+    maximum_delay_s: float = quantity(0.25, low=0.01, high=1e9)
+    """A message that arrives later than this after its stamp stops the arm."""
+    resume_when_fresh: bool = quantity(True)
+    """Resume without a call once messages that were late arrive again; otherwise set_enabled is
+    needed."""
+    force_limit_n: float = quantity(8.0, low=0.0, high=1000.0)
+    """Force on the topic wrench above which the tool retreats. 0: the sensor measures no force, the
+    topic is not read, and nothing limits the force."""
+    force_release_share: float = quantity(0.8, low=0.01, high=1.0)
+    """The retreat ends below this share of the limit."""
+    retreat_m_s: float = quantity(0.01, low=1e-4, high=1.0)
+    """Speed of the retreat, along -z of the tool."""
+    retreat_m: float = quantity(0.02, low=1e-4, high=0.5)
+    """If the force is still too large after a retreat of this length, the arm stops until it is
+    enabled again."""
 
     def __post_init__(self) -> None:
         check_fields("", self)

@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from dotsim_ros.io.quantity import Quantity, quantities_of
+from dotsim_ros.io.quantity import Quantity, meanings_of, quantities_of
 
 Kind = TypeVar("Kind")
 
@@ -31,7 +31,7 @@ def known_parameters(kind: type, fixed: str = FREE) -> dict[str, tuple[Any, Quan
             found.update(known_parameters(type(field.default), fixed))
     for name, (default, known) in quantities_of(kind).items():
         own = fixed if known.fixed is None else known.fixed
-        found[name] = (default, dataclasses.replace(known, fixed=own))
+        found[name] = (default, dataclasses.replace(known, help=meanings_of(kind)[name], fixed=own))
     return found
 
 

@@ -33,64 +33,45 @@ class XarmSimParameters:
     response: ArmResponse = field(default=ArmResponse())
     faults: ArmFaults = field(default=ArmFaults())
 
-    rate_hz: float = quantity(
-        100.0,
-        help="Rate of the feedback; the arm's driver publishes at 100 Hz with report_type dev.",
-        low=1.0,
-        high=200.0,
-    )
-    base_frame: str = quantity("link_base", help="Frame of the poses and of velocities.")
-    tool_frame: str = quantity(
-        "link_tcp", help="A velocity stamped with this frame is taken along the tool's axes."
-    )
-    sensor_frame: str = quantity(
-        "densetact_base", help="Frame of indenter/pose: the base of the sensor."
-    )
+    rate_hz: float = quantity(100.0, low=1.0, high=200.0)
+    """Rate of the feedback; the arm's driver publishes at 100 Hz with report_type dev."""
+    base_frame: str = quantity("link_base")
+    """Frame of the poses and of velocities."""
+    tool_frame: str = quantity("link_tcp")
+    """A velocity stamped with this frame is taken along the tool's axes."""
+    sensor_frame: str = quantity("densetact_base")
+    """Frame of indenter/pose: the base of the sensor."""
     start_pose: tuple[float, ...] = quantity(
-        (0.35, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0),
-        help="Pose of the tool in the base at the start and after ~/reset: x, y, z in metres, then "
-        "the quaternion x, y, z, w. The default points down.",
-        low=-10.0,
-        high=10.0,
+        (0.35, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0), low=-10.0, high=10.0
     )
+    """Pose of the tool in the base at the start and after ~/reset: x, y, z in metres, then the
+    quaternion x, y, z, w. The default points down."""
     tool_from_sensor: tuple[float, ...] = quantity(
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
-        help="Pose of the sensor's base in the tool's frame, numbers as in start_pose.",
-        low=-10.0,
-        high=10.0,
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), low=-10.0, high=10.0
     )
+    """Pose of the sensor's base in the tool's frame, numbers as in start_pose."""
     indenter_pose: tuple[float, ...] = quantity(
-        (0.35, 0.0, 0.28, 1.0, 0.0, 0.0, 0.0),
-        help="Pose in the base of a fixed indenter that the sensor is moved against, numbers as in "
-        "start_pose; its +z points away from the gel. The default is 4.25 mm before the dome.",
-        low=-10.0,
-        high=10.0,
-        fixed=FREE,
+        (0.35, 0.0, 0.28, 1.0, 0.0, 0.0, 0.0), low=-10.0, high=10.0, fixed=FREE
     )
-    publish_indenter: bool = quantity(
-        True, help="Publish indenter/pose, which moves the indenter of tactile_sim.", fixed=FREE
-    )
-    seed: int = quantity(0, help="Seed of the jitter.", low=0, high=2**31 - 1)
-    speed_limit_m_s: float = quantity(1.0, help="Speed limit of the tool.", low=0.001, high=1.0)
-    angular_speed_limit_rad_s: float = quantity(
-        3.14, help="Limit of the tool's angular speed.", low=0.001, high=10.0
-    )
-    acceleration_limit_m_s2: float = quantity(
-        50.0, help="Limit of the tool's linear acceleration.", low=0.01, high=50.0
-    )
-    angular_acceleration_limit_rad_s2: float = quantity(
-        20.0, help="Limit of the tool's angular acceleration.", low=0.01, high=200.0
-    )
-    joint_speed_limit_rad_s: float = quantity(
-        4.0,
-        help="Speed limit of each joint; where one would exceed it, all are scaled down alike. "
-        "UFACTORY allows 3.14.",
-        low=0.01,
-        high=10.0,
-    )
-    diagnostics_period_s: float = quantity(
-        1.0, help="Period of the diagnostics.", low=0.05, high=60.0
-    )
+    """Pose in the base of a fixed indenter that the sensor is moved against, numbers as in
+    start_pose; its +z points away from the gel. The default is 4.25 mm before the dome."""
+    publish_indenter: bool = quantity(True, fixed=FREE)
+    """Publish indenter/pose, which moves the indenter of tactile_sim."""
+    seed: int = quantity(0, low=0, high=2**31 - 1)
+    """Seed of the jitter."""
+    speed_limit_m_s: float = quantity(1.0, low=0.001, high=1.0)
+    """Speed limit of the tool."""
+    angular_speed_limit_rad_s: float = quantity(3.14, low=0.001, high=10.0)
+    """Limit of the tool's angular speed."""
+    acceleration_limit_m_s2: float = quantity(50.0, low=0.01, high=50.0)
+    """Limit of the tool's linear acceleration."""
+    angular_acceleration_limit_rad_s2: float = quantity(20.0, low=0.01, high=200.0)
+    """Limit of the tool's angular acceleration."""
+    joint_speed_limit_rad_s: float = quantity(4.0, low=0.01, high=10.0)
+    """Speed limit of each joint; where one would exceed it, all are scaled down alike. UFACTORY
+    allows 3.14."""
+    diagnostics_period_s: float = quantity(1.0, low=0.05, high=60.0)
+    """Period of the diagnostics."""
 
     def __post_init__(self) -> None:
         check_fields("", self)
