@@ -79,15 +79,7 @@ class RecordParameters:
     """folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the recording ends
     it has .partial behind its name"""
     topics: tuple[str, ...] = quantity(
-        (
-            "image_raw",
-            "camera_info",
-            "depth/image",
-            "points",
-            "wrench",
-            "indenter/pose",
-            "indenter/state",
-        )
+        tuple(name for name in SENSOR_TOPICS if name != "image_raw/compressed")
     )
     """topics to record: names of the sensor, or NAME=PACKAGE/msg/TYPE of a stamped message"""
     queue_mb: int = quantity(512, low=1, high=65536)
