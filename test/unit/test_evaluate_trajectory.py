@@ -40,6 +40,7 @@ from studies.trajectory.trials import (
 )
 
 PLACES = LoopPlaces(Pose(np.array([0.35, 0.0, 0.3]), np.array([1.0, 0.0, 0.0, 0.0])))
+TOPICS = ("ee_pose", "ee_twist", "cmd_vel", "wrench", "indenter/pose")
 START_S = 1000.0
 LIMITS = SafetyLimits()
 
@@ -187,14 +188,8 @@ def test_a_bag_is_read_as_the_same_recording(tmp_path: Path) -> None:
             rate = msg_adapters.encode_twist_stamped(twist[:3], twist[3:], frame_id="a", **known)
             felt = msg_adapters.encode_wrench_stamped((0, 0, 1.5), (0, 0, 0), frame_id="a", **known)
             there = msg_adapters.encode_pose_stamped(seen, (0, 0, 0, 1), frame_id="a", **known)
-            for topic, message in (
-                ("/left/ee_pose", tool),
-                ("/left/ee_twist", rate),
-                ("/left/cmd_vel", rate),
-                ("/left/wrench", felt),
-                ("/left/indenter/pose", there),
-            ):
-                bag.write(topic, stamp_ns, message)
+            for topic, message in zip(TOPICS, (tool, rate, rate, felt, there), strict=True):
+                bag.write(f"/left/{topic}", stamp_ns, message)
         # The recorder stopped before the pose of the tool that belongs to the indenter's last.
         known["stamp_ns"] = stamp_ns + 10_000_000
         alone = msg_adapters.encode_pose_stamped(seen + 0.001, (0, 0, 0, 1), frame_id="a", **known)
@@ -208,14 +203,8 @@ def test_a_bag_is_read_as_the_same_recording(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="holds no topic ee_twist"):
         read_loop_bag(tmp_path / "poor")
     with BagFile(tmp_path / "apart") as bag:
-        for topic, message in (
-            ("/ee_pose", tool),
-            ("/ee_twist", rate),
-            ("/cmd_vel", rate),
-            ("/wrench", felt),
-            ("/indenter/pose", alone),
-        ):
-            bag.write(topic, stamp_ns, message)
+        for topic, message in zip(TOPICS, (tool, rate, rate, felt, alone), strict=True):
+            bag.write(f"/{topic}", stamp_ns, message)
     with pytest.raises(ValueError, match="has the time of a pose of the tool"):
         read_loop_bag(tmp_path / "apart")
 
