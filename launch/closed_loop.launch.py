@@ -15,13 +15,6 @@ from functools import partial
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
-from launch.conditions import IfCondition, UnlessCondition
-from launch.substitutions import (
-    AndSubstitution,
-    EqualsSubstitution,
-    LaunchConfiguration,
-    NotSubstitution,
-)
 from launch_ros.actions import Node
 
 from dotsim_ros.nodes.common.launch_arguments import (
@@ -32,6 +25,7 @@ from dotsim_ros.nodes.common.launch_arguments import (
     description,
     given,
     given_file,
+    is_on,
     own_node,
     parameter_file_argument,
     recorder,
@@ -94,18 +88,13 @@ def generate_launch_description() -> LaunchDescription:
         ),
         *sensor_arguments(),
     ]
-    return description(
-        arguments,
-        OpaqueFunction(function=nodes),
-    )
+    return description(arguments, OpaqueFunction(function=nodes))
 
 
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the nodes, with what is given here."""
-    namespace, is_simulated = (
-        text_of(context, "namespace"),
-        text_of(context, "clock") == "simulated",
-    )
+    namespace = text_of(context, "namespace")
+    is_simulated = text_of(context, "clock") == "simulated"
     time = {"use_sim_time": is_simulated, "stepped": is_simulated, **given(context, TIME)}
     if is_simulated and not time["use_sim_time"]:
         raise ValueError(
@@ -127,24 +116,11 @@ def nodes(context: LaunchContext) -> list[Node]:
     )
     parameters = [text_of(context, "params_file"), given_here]
     start = partial(own_node, namespace=namespace, parameters=parameters)
-    one_process = LaunchConfiguration("one_process")
-    is_apart = NotSubstitution(one_process)
-    has_sensor = AndSubstitution(LaunchConfiguration("simulate_sensor"), is_apart)
-    has_arm = AndSubstitution(LaunchConfiguration("simulate_arm"), is_apart)
-    is_stepped = EqualsSubstitution(LaunchConfiguration("clock"), "simulated")
-    return [
-        start("tactile_sim", condition=IfCondition(has_sensor)),
-        start("xarm_sim", condition=IfCondition(has_arm)),
-        start(
-            "dotsim_closed_loop",
-            remappings=[("tactile_policy:~/cmd_vel", "cmd_vel")],
-            condition=IfCondition(one_process),
-        ),
-        start(
-            "tactile_policy",
-            remappings=[("~/cmd_vel", "cmd_vel")],
-            condition=UnlessCondition(one_process),
-        ),
-        recorder(namespace, parameters),
-        start("time_stepper", condition=IfCondition(is_stepped)),
-    ]
+    if is_on(context, "one_process"):
+        found = [start("dotsim_closed_loop", remappings=[("tactile_policy:~/cmd_vel", "cmd_vel")])]
+    else:
+        found = [start("tactile_policy", remappings=[("~/cmd_vel", "cmd_vel")])]
+        found += [start("tactile_sim")] if is_on(context, "simulate_sensor") else []
+        found += [start("xarm_sim")] if is_on(context, "simulate_arm") else []
+    found += [recorder(namespace, parameters)] if is_on(context, "record") else []
+    return found + ([start("time_stepper")] if is_simulated else [])

@@ -13,7 +13,6 @@ of types of ros_gz_bridge.
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from dotsim_ros.nodes.common.launch_arguments import (
@@ -33,12 +32,6 @@ from dotsim_ros.nodes.common.launch_arguments import (
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
-    world = LaunchConfiguration("world")
-    sensor_link = LaunchConfiguration("sensor_link")
-    indenter_link = LaunchConfiguration("indenter_link")
-    sensor_poses = ["/model/", LaunchConfiguration("sensor_model"), "/pose"]
-    indenter_poses = ["/model/", LaunchConfiguration("indenter_model"), "/pose"]
-    wrenches = ["/world/", world, "/wrench"]
     arguments = [
         argument("world", "Gazebo's world", "default"),
         argument("sensor_model", "model that carries the sensor", "arm"),
@@ -63,66 +56,47 @@ def generate_launch_description() -> LaunchDescription:
         ),
         *sensor_arguments(),
     ]
-    return description(
-        arguments,
+    return description(arguments, OpaqueFunction(function=nodes))
+
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """Return the bridge, the frames, and the sensor, with what is given here."""
+    sensor_poses = f"/model/{text_of(context, 'sensor_model')}/pose"
+    indenter_poses = f"/model/{text_of(context, 'indenter_model')}/pose"
+    wrenches = f"/world/{text_of(context, 'world')}/wrench"
+    tip = {"z": text_of(context, "tip_z"), "roll": "3.14159265"}
+    links = {
+        "world": ("world_frame", str),
+        "sensor_link": ("entity_sensor", str),
+        "sensor_centre_m": ("entity_sensor_centre_m", list),
+        "indenter_link": ("entity_indenter", str),
+        "indenter_centre_m": ("entity_indenter_centre_m", list),
+    }
+    linked = given(context, {name: kind for name, (_, kind) in links.items()})
+    given_here = {
+        **{links[name][0]: value for name, value in linked.items()},
+        **given(context, {**SENSOR, **TIME}),
+    }
+    files = [text_of(context, "params_file"), given_file("", {"tactile_sim": given_here})]
+    return [
         Node(
             package="ros_gz_bridge",
             executable="parameter_bridge",
             arguments=[
-                [*sensor_poses, "@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V"],
-                [*indenter_poses, "@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V"],
+                f"{sensor_poses}@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V",
+                f"{indenter_poses}@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V",
                 "/clock@rosgraph_msgs/msg/Clock[gz.msgs.Clock",
-                [*wrenches, "@ros_gz_interfaces/msg/EntityWrench]gz.msgs.EntityWrench"],
+                f"{wrenches}@ros_gz_interfaces/msg/EntityWrench]gz.msgs.EntityWrench",
             ],
             remappings=[(sensor_poses, "/tf"), (indenter_poses, "/tf")],
             output="screen",
         ),
         static_transform(
-            sensor_link,
+            text_of(context, "sensor_link"),
             "densetact_base",
-            {"z": LaunchConfiguration("base_z")},
+            {"z": text_of(context, "base_z")},
             name="sensor_base",
         ),
-        static_transform(
-            indenter_link,
-            "indenter",
-            {"z": LaunchConfiguration("tip_z"), "roll": "3.14159265"},
-            name="indenter_tip",
-        ),
-        OpaqueFunction(function=sensor),
-    )
-
-
-def sensor(context: LaunchContext) -> list[Node]:
-    """Return the sensor, with what is given here."""
-    links = given(
-        context,
-        {
-            "world": str,
-            "sensor_link": str,
-            "sensor_centre_m": list,
-            "indenter_link": str,
-            "indenter_centre_m": list,
-        },
-    )
-    names = {
-        "world": "world_frame",
-        "sensor_link": "entity_sensor",
-        "sensor_centre_m": "entity_sensor_centre_m",
-        "indenter_link": "entity_indenter",
-        "indenter_centre_m": "entity_indenter_centre_m",
-    }
-    given_here = {
-        **{names[name]: value for name, value in links.items()},
-        **given(context, {**SENSOR, **TIME}),
-    }
-    return [
-        own_node(
-            "tactile_sim",
-            parameters=[
-                text_of(context, "params_file"),
-                given_file("", {"tactile_sim": given_here}),
-            ],
-            remappings=[("entity_wrench", f"/world/{text_of(context, 'world')}/wrench")],
-        )
+        static_transform(text_of(context, "indenter_link"), "indenter", tip, name="indenter_tip"),
+        own_node("tactile_sim", parameters=files, remappings=[("entity_wrench", wrenches)]),
     ]

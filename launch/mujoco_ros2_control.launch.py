@@ -17,8 +17,6 @@ publishes nav_msgs/Odometry of the joint `odom_free_joint_name` on `odom_topic`,
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
-from launch.conditions import IfCondition
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 
 from dotsim_ros.nodes.common.launch_arguments import (
@@ -38,7 +36,6 @@ from dotsim_ros.nodes.common.launch_arguments import (
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
-    is_arm = EqualsSubstitution(LaunchConfiguration("source"), "arm")
     arguments = [
         argument(
             "source",
@@ -64,32 +61,24 @@ def generate_launch_description() -> LaunchDescription:
         ),
         *sensor_arguments(),
     ]
-    return description(
-        arguments,
-        static_transform(
-            "world",
-            LaunchConfiguration("indenter_frame"),
-            {axis: LaunchConfiguration(f"peg_{axis}") for axis in ("x", "y", "z", "roll")},
-            condition=IfCondition(is_arm),
-        ),
-        OpaqueFunction(function=sensor),
-    )
+    return description(arguments, OpaqueFunction(function=nodes))
 
 
-def sensor(context: LaunchContext) -> list[Node]:
-    """Return the sensor, with what is given here."""
+def nodes(context: LaunchContext) -> list[Node]:
+    """Return the sensor, with what is given here, and the place of the peg where an arm moves."""
+    source: dict[str, str] = {"pose_source": "odometry", "base_frame": "odom"}
+    found = []
     if text_of(context, "source") == "arm":
         source = {"pose_source": "tf"}
-    else:
-        source = {"pose_source": "odometry", "base_frame": "odom"}
+        place = {axis: text_of(context, f"peg_{axis}") for axis in ("x", "y", "z", "roll")}
+        found = [static_transform("world", text_of(context, "indenter_frame"), place)]
     given_here = {**source, **given(context, {"indenter_frame": str, **SENSOR, **TIME})}
+    files = [text_of(context, "params_file"), given_file("", {"tactile_sim": given_here})]
     return [
+        *found,
         own_node(
             "tactile_sim",
-            parameters=[
-                text_of(context, "params_file"),
-                given_file("", {"tactile_sim": given_here}),
-            ],
+            parameters=files,
             remappings=[("indenter/odometry", text_of(context, "odom_topic"))],
-        )
+        ),
     ]

@@ -13,8 +13,6 @@ from functools import partial
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from dotsim_ros.nodes.common.launch_arguments import (
@@ -25,6 +23,7 @@ from dotsim_ros.nodes.common.launch_arguments import (
     description,
     given,
     given_file,
+    is_on,
     own_node,
     parameter_file_argument,
     recorder,
@@ -59,10 +58,7 @@ def generate_launch_description() -> LaunchDescription:
             choices=SWITCH,
         ),
     ]
-    return description(
-        arguments,
-        OpaqueFunction(function=nodes),
-    )
+    return description(arguments, OpaqueFunction(function=nodes))
 
 
 def nodes(context: LaunchContext) -> list[Node]:
@@ -73,7 +69,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         params_file,
         namespace=namespace,
         given=given(context, {"source": str, "sensor": str}),
-        is_recorded=text_of(context, "record") == "true",
+        is_recorded=is_on(context, "record"),
     )
     given_here = given_file(
         namespace,
@@ -87,6 +83,6 @@ def nodes(context: LaunchContext) -> list[Node]:
     start = partial(own_node, namespace=namespace, parameters=parameters)
     return [
         start("tactile_sim"),
-        start("indenter_player", condition=IfCondition(LaunchConfiguration("play"))),
-        recorder(namespace, parameters),
+        *([start("indenter_player")] if is_on(context, "play") else []),
+        *([recorder(namespace, parameters)] if is_on(context, "record") else []),
     ]

@@ -14,57 +14,11 @@ import importlib
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from functools import partial
 from types import ModuleType
 from typing import Any
 
 HELP = ("-h", "--help")
-
-
-def closed_loop() -> int:
-    """Run `xarm_sim`, `tactile_sim` and `tactile_policy` in one process."""
-    return _run("closed_loop", executable="dotsim_closed_loop")
-
-
-def closed_loop_by_old_name() -> int:
-    """Run the same by the name that it had in 0.1."""
-    print("closed_loop is called dotsim_closed_loop now; this name will go", file=sys.stderr)
-    return closed_loop()
-
-
-def indenter_player() -> int:
-    """Run the player of presses."""
-    return _run("indenter_player")
-
-
-def tactile_policy() -> int:
-    """Run the policy."""
-    return _run("tactile_policy")
-
-
-def tactile_record() -> int:
-    """Run the recorder."""
-    return _run("tactile_record")
-
-
-def tactile_sim() -> int:
-    """Run the simulated sensor."""
-    return _run("tactile_sim")
-
-
-def time_stepper() -> int:
-    """Run the stepper of simulated time."""
-    return _run("time_stepper")
-
-
-def xarm_adapter() -> int:
-    """Run the adapter to the driver of a real xArm."""
-    return _run("xarm_adapter")
-
-
-def xarm_sim() -> int:
-    """Run the simulated arm."""
-    return _run("xarm_sim")
 
 
 def _run(name: str, executable: str = "") -> int:
@@ -77,6 +31,22 @@ def _run(name: str, executable: str = "") -> int:
     return status
 
 
+indenter_player = partial(_run, "indenter_player")
+tactile_policy = partial(_run, "tactile_policy")
+tactile_record = partial(_run, "tactile_record")
+tactile_sim = partial(_run, "tactile_sim")
+time_stepper = partial(_run, "time_stepper")
+xarm_adapter = partial(_run, "xarm_adapter")
+xarm_sim = partial(_run, "xarm_sim")
+closed_loop = partial(_run, "closed_loop", executable="dotsim_closed_loop")
+
+
+def closed_loop_by_old_name() -> int:
+    """Run the closed loop by the name that it had in 0.1."""
+    print("closed_loop is called dotsim_closed_loop now; this name will go", file=sys.stderr)
+    return closed_loop()
+
+
 def _end(_number: int, _frame: object) -> None:
     # An exception within an import could be taken for a failure of what is imported.
     os._exit(0)
@@ -84,7 +54,8 @@ def _end(_number: int, _frame: object) -> None:
 
 def _usage(name: str, module: ModuleType) -> str:
     options = [
-        f"  {name} ({default!r}): {described}" for name, default, described in _options(module)
+        f"  {name} ({default!r}): {known.help}"
+        for name, (default, known) in _parameters(module).items()
     ]
     lines = [
         f"usage: {name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]",
@@ -98,11 +69,12 @@ def _usage(name: str, module: ModuleType) -> str:
     return "\n".join(lines)
 
 
-def _options(module: ModuleType) -> Iterator[tuple[str, Any, str]]:
-    """Yield name, default and meaning of the parameters of a node's module."""
+def _parameters(module: ModuleType) -> dict[str, Any]:
+    """Return default and description of the parameters of a node's module, by name."""
     from dotsim_ros.nodes.common.parameters import known_parameters
 
+    found = {}
     for kind in vars(module).values():
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-            for name, (default, known) in known_parameters(kind).items():
-                yield name, default, known.help
+            found.update(known_parameters(kind))
+    return found

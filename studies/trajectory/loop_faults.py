@@ -299,7 +299,7 @@ class Bench:
     def _restart_sensor(self) -> None:
         """Start the sensor again, and wait until the killed one is forgotten: the graph keeps it
         for the lease of its participant, and the policy refuses two senders."""
-        self.loop.start_sensor()
+        self.loop.start_nodes(SENSOR)
         self.loop.observer.wait(
             # One sender that is the killed one is one too few: the new one is not in the graph yet.
             lambda: len(self._senders()) == 1 and not self._senders() & self._killed,

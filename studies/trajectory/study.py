@@ -20,7 +20,7 @@ from dotsim_ros.control.policy.network import read_policy
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.files import cache_directory, whole_file
 from dotsim_ros.nodes.common.transport import stay_local
-from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
+from dotsim_ros.nodes.loop.closed_loop import POLICY, ClosedLoop, LoopSetup, policy_name
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
 from studies.trajectory.trials import (
     SETTINGS,
@@ -132,7 +132,7 @@ class TrialLoop:
                 self._loop.start(path)
                 self._setting, self._path = setting, path
             if path != self._path:
-                self._loop.start_policy(path)
+                self._loop.start(path, order=(POLICY,))
                 self._path = path
             return self._loop.trial(start_m, seconds)
         except OSError:

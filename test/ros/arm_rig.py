@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -146,13 +145,3 @@ class ArmClient(Watcher):
                 self.heard[topic].append((time.monotonic(), message))
 
         return collect
-
-
-@contextmanager
-def arm_client(node_name: str, topics: dict[str, type] = TOPICS) -> Iterator[ArmClient]:
-    """Lead an arm in the block."""
-    client = ArmClient(node_name, topics)
-    try:
-        yield client
-    finally:
-        client.close()

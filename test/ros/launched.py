@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,13 +41,6 @@ class Context:
 
 
 @dataclass(frozen=True)
-class Substitution:
-    """A text that is known when the launch runs."""
-
-    perform: Callable[[Context], str]
-
-
-@dataclass(frozen=True)
 class Argument:
     """An argument of a launch file."""
 
@@ -64,16 +57,15 @@ class Log:
 
 @dataclass(frozen=True)
 class Node:
-    """A node to be started, if its condition holds."""
+    """A node to be started."""
 
     package: str
     executable: str
     name: str = ""
-    namespace: Any = ""
-    arguments: list[Any] = field(default_factory=list)
+    namespace: str = ""
+    arguments: list[str] = field(default_factory=list)
     parameters: list[Any] = field(default_factory=list)
     remappings: list[Any] = field(default_factory=list)
-    condition: Callable[[Context], bool] = lambda _: True
     output: str = ""
     sigterm_timeout: str = ""
 
@@ -127,9 +119,9 @@ def launched(name: str, **given: str) -> Launched:
         entities = module.generate_launch_description()
         context = Context(given)
         visited = [found for entity in entities for found in _visited(entity, context)]
-    nodes = [node for node in visited if isinstance(node, Node) and node.condition(context)]
+    nodes = [node for node in visited if isinstance(node, Node)]
     return Launched(
-        [Started(node.package, node.executable, _arguments(node, context)) for node in nodes],
+        [Started(node.package, node.executable, _arguments(node)) for node in nodes],
         [line.msg for line in visited if isinstance(line, Log)],
         {entity.name for entity in entities if isinstance(entity, Argument)},
         context.launch_configurations.read,
@@ -154,54 +146,18 @@ def _visited(entity: Any, context: Context) -> list[Node | Log]:
     return [found for each in entity(context) or () for found in _visited(each, context)]
 
 
-def _arguments(node: Node, context: Context) -> list[str]:
-    namespace = "/" + _text(node.namespace, context).strip("/")
-    arguments = [_text(argument, context) for argument in node.arguments]
-    arguments += ["--ros-args", "-r", f"__ns:={namespace}"]
+def _arguments(node: Node) -> list[str]:
+    arguments = [*node.arguments, "--ros-args", "-r", f"__ns:=/{node.namespace.strip('/')}"]
     for path in node.parameters:
         arguments += ["--params-file", path]
     for old, new in node.remappings:
-        arguments += ["-r", f"{_text(old, context)}:={_text(new, context)}"]
+        arguments += ["-r", f"{old}:={new}"]
     return arguments
-
-
-def _text(value: Any, context: Context) -> str:
-    if isinstance(value, list):
-        return "".join(_text(part, context) for part in value)
-    return value.perform(context) if isinstance(value, Substitution) else str(value)
-
-
-def _is_true(value: Any, context: Context) -> bool:
-    text = _text(value, context)
-    assert text in ("true", "false")
-    return text == "true"
-
-
-def _word(is_so: bool) -> str:
-    return "true" if is_so else "false"
 
 
 @contextmanager
 def _stand_in() -> Iterator[None]:
     """Let launch files import what they use in the block."""
-    conditions = {
-        "IfCondition": lambda value: lambda context: _is_true(value, context),
-        "UnlessCondition": lambda value: lambda context: not _is_true(value, context),
-    }
-    substitutions = {
-        "LaunchConfiguration": lambda name: Substitution(
-            lambda context: context.launch_configurations[name]
-        ),
-        "EqualsSubstitution": lambda one, other: Substitution(
-            lambda context: _word(_text(one, context) == _text(other, context))
-        ),
-        "NotSubstitution": lambda value: Substitution(
-            lambda context: _word(not _is_true(value, context))
-        ),
-        "AndSubstitution": lambda one, other: Substitution(
-            lambda context: _word(_is_true(one, context) and _is_true(other, context))
-        ),
-    }
     actions = {
         "DeclareLaunchArgument": lambda name, default_value, **_: Argument(name, default_value),
         "LogInfo": Log,
@@ -210,8 +166,6 @@ def _stand_in() -> Iterator[None]:
     modules = {
         "launch": {"LaunchContext": Context, "LaunchDescription": list},
         "launch.actions": actions,
-        "launch.conditions": conditions,
-        "launch.substitutions": substitutions,
         "launch_ros": {},
         "launch_ros.actions": {"Node": Node},
         "ament_index_python": {},

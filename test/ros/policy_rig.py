@@ -10,7 +10,7 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Lock, Thread
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from harness import Executable, measured_until, running
+from harness import Executable, running
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 from watcher import Watcher
@@ -120,40 +120,87 @@ class Command:
         return bool(self.twist.any())
 
 
-def stopping_times_s(stop: Callable[[], float], *, limit_s: float) -> list[float]:
-    """Stop the arm until it stops in time, as `measured_until` does; none may take a second.
+USUAL = {
+    "crop": idle_crop(),
+    "has_images": True,
+    "has_poses": True,
+    "has_forces": True,
+    "image_lag_s": 0.0,
+    "pose_lag_s": 0.0,
+    "force_lag_s": 0.0,
+    "image_frame": "densetact_optical_frame",
+    "pose_frame": "link_base",
+    "encoding": "rgb8",
+    "force_n": 0.0,
+}
+"""The streams of a rig as they should be."""
 
-    Args:
-        stop: starts the arm, brings the fault about and returns how long the arm went on (s).
-        limit_s: what is in time.
-    """
-    return measured_until(stop, below=limit_s, never=1.0)
 
-
-class Observer(Watcher):
-    """Reads what the node says, and calls its services.
+class Rig(Watcher):
+    """Images at 25 Hz, an arm that obeys at once at 100 Hz, and a force; reads what the node says,
+    and calls its services.
 
     Args:
         namespace: of all names.
-        commands: the topic that they are read from.
+        compressed: whether images are.
+        along_tool: whether commands are along the tool's axes.
+        has_forces: whether there is a force.
+        now_ns: the time that messages are stamped with.
 
     Attributes:
         commands: all that came.
-        heard: the poses of the arm that came, each with its stamp (s).
-        tool: the newest pose of the arm.
-        last_pose_s: its stamp.
+        tool: the pose of the arm.
+        last_pose_s: when the newest was sent.
+        crop: what the images show.
+        has_images, has_poses, has_forces: cut a stream.
+        image_lag_s, pose_lag_s, force_lag_s: how long before now messages are stamped.
+        image_frame, pose_frame: frames of the messages.
+        encoding: of the images that are not compressed, rgb8 or bgr8.
+        force_n: the force.
+        images, poses, wrenches: their publishers.
+        last_image_s, last_wrench_s: when the newest was sent.
     """
 
-    def __init__(self, namespace: str, *, commands: str = "tactile_policy/cmd_vel") -> None:
-        super().__init__("observer", namespace)
-        self.commands: list[Command] = []
-        self.heard: list[tuple[float, Pose]] = []
-        self.tool = Pose((0.3, 0.0, 0.2), DOWN)
-        self.last_pose_s = 0.0
-        self._prefix = f"{namespace}/" if namespace else ""
+    def __init__(
+        self,
+        namespace: str,
+        *,
+        compressed: bool = False,
+        along_tool: bool = True,
+        has_forces: bool = True,
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._now_ns = now_ns
+        self._stop = Event()
         self._lock = Lock()
+        super().__init__("rig", namespace)
+        self.commands: list[Command] = []
+        self.tool = Pose((0.3, 0.0, 0.2), DOWN)
+        self._prefix = f"{namespace}/"
+        self.idle = USUAL["crop"]
+        vars(self).update(USUAL, has_forces=has_forces)
+        self.last_image_s = self.last_pose_s = self.last_wrench_s = 0.0
+        self._axes = TwistFrame.OWN if along_tool else TwistFrame.PARENT
+        self._compressed = compressed
+        kind, topic = (
+            (CompressedImage, "image_raw/compressed") if compressed else (Image, "image_raw")
+        )
+        self.images = self.node.create_publisher(kind, topic, 5)
+        self.poses = self.node.create_publisher(PoseStamped, "ee_pose", 5)
+        self.wrenches = self.node.create_publisher(WrenchStamped, "wrench", 5)
+        commands = "tactile_policy/cmd_vel"
         self.node.create_subscription(TwistStamped, commands, self._on_command, 100)
-        self.node.create_subscription(PoseStamped, "ee_pose", self._on_pose, 10)
+        beats = [(IMAGE_PERIOD_S, self._send_image), (POSE_PERIOD_S, self._send_pose)]
+        self._beats = [Thread(target=self._beat, args=beat, daemon=True) for beat in beats]
+        for beat in self._beats:
+            beat.start()
+
+    def close(self) -> None:
+        """End the streams and leave the graph."""
+        self._stop.set()
+        for beat in self._beats:
+            beat.join(10.0)
+        super().close()
 
     def enable(self, wanted: bool = True) -> Any:
         """Call set_enabled."""
@@ -214,76 +261,6 @@ class Observer(Watcher):
         with self._lock:
             self.commands.append(Command(stamp_s, message.header.frame_id, twist))
 
-    def _on_pose(self, message: PoseStamped) -> None:
-        self.tool = Pose(*msg_adapters.decode_pose_stamped(message))
-        self.last_pose_s = 1e-9 * msg_adapters.message_stamp_ns(message)
-        self.heard.append((self.last_pose_s, self.tool))
-
-
-class Rig(Observer):
-    """Images at 25 Hz, an arm that obeys at once at 100 Hz, and a force.
-
-    Args:
-        namespace: of all names.
-        compressed: whether images are.
-        along_tool: whether commands are along the tool's axes.
-        has_forces: whether there is a force.
-        now_ns: the time that messages are stamped with.
-
-    Attributes:
-        crop: what the images show.
-        has_images, has_poses, has_forces: cut a stream.
-        image_lag_s, pose_lag_s, force_lag_s: how long before now messages are stamped.
-        image_frame, pose_frame: frames of the messages.
-        encoding: of the images that are not compressed, rgb8 or bgr8.
-        force_n: the force.
-        images, poses, wrenches: their publishers.
-        last_image_s, last_wrench_s: when the newest was sent.
-    """
-
-    def __init__(
-        self,
-        namespace: str,
-        *,
-        compressed: bool = False,
-        along_tool: bool = True,
-        has_forces: bool = True,
-        now_ns: Callable[[], int] = time.time_ns,
-    ) -> None:
-        self._now_ns = now_ns
-        self._stop = Event()
-        self._beats: list[Thread] = []
-        super().__init__(namespace)
-        self.idle = idle_crop()
-        self.crop = self.idle
-        self.has_images = self.has_poses = True
-        self.has_forces = has_forces
-        self.image_lag_s = self.pose_lag_s = self.force_lag_s = 0.0
-        self.image_frame = "densetact_optical_frame"
-        self.pose_frame = "link_base"
-        self.encoding = "rgb8"
-        self.force_n = 0.0
-        self.last_image_s = self.last_wrench_s = 0.0
-        self._axes = TwistFrame.OWN if along_tool else TwistFrame.PARENT
-        self._compressed = compressed
-        kind, topic = (
-            (CompressedImage, "image_raw/compressed") if compressed else (Image, "image_raw")
-        )
-        self.images = self.node.create_publisher(kind, topic, 5)
-        self.poses = self.node.create_publisher(PoseStamped, "ee_pose", 5)
-        self.wrenches = self.node.create_publisher(WrenchStamped, "wrench", 5)
-        beats = [(IMAGE_PERIOD_S, self._send_image), (POSE_PERIOD_S, self._send_pose)]
-        for beat in beats:
-            self._beats.append(Thread(target=self._beat, args=beat, daemon=True))
-            self._beats[-1].start()
-
-    def close(self) -> None:
-        """End the streams and leave the graph."""
-        self._stop.set()
-        for beat in self._beats:
-            beat.join(10.0)
-        super().close()
-
     def start(self) -> None:
         """Mend everything, enable, and wait until the arm moves."""
         self.enable(False)
@@ -300,22 +277,11 @@ class Rig(Observer):
 
     def _mend(self) -> bool:
         """Let the streams be as they should; return whether they were not."""
-        usual = {
-            "crop": self.idle,
-            "has_images": True,
-            "has_poses": True,
-            "has_forces": True,
-            "image_lag_s": 0.0,
-            "pose_lag_s": 0.0,
-            "force_lag_s": 0.0,
-            "image_frame": "densetact_optical_frame",
-            "pose_frame": "link_base",
-            "force_n": 0.0,
-        }
-        is_spoilt = [not np.array_equal(getattr(self, name), each) for name, each in usual.items()]
-        for name, each in usual.items():
-            setattr(self, name, each)
-        return any(is_spoilt)
+        is_spoilt = any(
+            not np.array_equal(getattr(self, name), value) for name, value in USUAL.items()
+        )
+        vars(self).update(USUAL)
+        return is_spoilt
 
     def next_image_s(self) -> float:
         """Wait for an image that is sent from now on and return when it was."""
@@ -323,8 +289,11 @@ class Rig(Observer):
         self.wait(lambda: self.last_image_s != last_s, "an image")
         return self.last_image_s
 
-    def _on_pose(self, message: PoseStamped) -> None:
-        """Its own poses are known here before they are sent."""
+    def _on_command(self, message: TwistStamped) -> None:
+        twist = np.concatenate(msg_adapters.decode_twist_stamped(message))
+        stamp_s = 1e-9 * msg_adapters.message_stamp_ns(message)
+        with self._lock:
+            self.commands.append(Command(stamp_s, message.header.frame_id, twist))
 
     def _beat(self, period_s: float, send: Callable[[], None]) -> None:
         due_s = time.monotonic()
@@ -410,16 +379,10 @@ def policy_and_rig(
         MODULE, parameters=given, code=code, arguments=("-r", f"__ns:=/{namespace}")
     ) as executable:
         along_tool = given.get("command_frame", "link_tcp") == "link_tcp"
-        rig = Rig(
-            namespace,
-            compressed=compressed,
-            along_tool=along_tool,
-            has_forces=has_forces,
-            now_ns=now_ns,
-        )
+        how = {"compressed": compressed, "along_tool": along_tool, "has_forces": has_forces}
         try:
-            yield executable, rig
+            with closing(Rig(namespace, **how, now_ns=now_ns)) as rig:
+                yield executable, rig
         finally:
-            rig.close()
             with suppress(PermissionError):
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -72,7 +72,9 @@ class Policy(Desk):
     def __init__(self, **parameters: Any) -> None:
         super().__init__()
         self.latched: list[tuple[Reason, str]] = []
-        given = TactilePolicyParameters(policy="p", force_limit_n=2.0, **parameters)
+        given = from_values(
+            TactilePolicyParameters, {"policy": "p", "force_limit_n": 2.0, **parameters}
+        )
         self.inputs = PolicyInputs(self, given, latch=lambda *why: self.latched.append(why))
         self.hand_in("ee_pose", self.pose(0.3))
         self.hand_in("wrench", self.wrench(1.0))

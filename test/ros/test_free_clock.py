@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_rig import arm_client
+from arm_rig import ArmClient
 from free_clock import free_clock
 from harness import running
 from policy_rig import policy_and_rig, write_network
@@ -26,7 +27,7 @@ def test_the_arm_goes_by_the_simulated_time() -> None:
     with (
         free_clock(speed=SLOWNESS) as clock,
         running("dotsim_ros.nodes.xarm_sim.node", parameters={"use_sim_time": True}),
-        arm_client("xarm_sim") as client,
+        closing(ArmClient("xarm_sim")) as client,
     ):
         client.meet()
         to_the_right = lambda _: ((SPEED_M_S, 0.0, 0.0), (0.0, 0.0, 0.0))  # noqa: E731

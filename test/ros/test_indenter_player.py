@@ -4,16 +4,16 @@
 """`indenter_player` as a process, its poses read over DDS."""
 
 import time
-from contextlib import contextmanager
+from contextlib import closing
 
 import numpy as np
 import pytest
-import rclpy
 from free_clock import free_clock
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import PATIENCE_S, refused_starts, running, spin_in_background, with_parameters
+from harness import refused_starts, running, with_parameters
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
+from watcher import Watcher
 
 import msg_adapters
 from dotsim_ros.data.shipped_presses import read_presses
@@ -24,9 +24,11 @@ from dotsim_ros.nodes.indenter_player.node import IndenterPlayer
 MODULE = "dotsim_ros.nodes.indenter_player.node"
 RADIUS_M = 0.01575
 KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+SHORT = {"depth_m": 0.0002, "clearance_m": 0.0003, "hold_s": 0.0}
+"""A press of 21 poses."""
 
 
-class Listener:
+class Listener(Watcher):
     """Reads poses; answers each with a wrench of its stamp where it is asked to."""
 
     def __init__(self, *, answer_after_s=None):
@@ -34,12 +36,9 @@ class Listener:
         self.written_ns = []
         self.answered_ns = []
         self._answer_after_s = answer_after_s
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self._node = rclpy.create_node("listener", context=self._context)
-        self._wrench = self._node.create_publisher(WrenchStamped, "wrench", KEEP_ALL)
-        self._node.create_subscription(PoseStamped, "indenter/pose", self._on_pose, KEEP_ALL)
-        self._thread = spin_in_background(self._node)
+        super().__init__("listener")
+        self._wrench = self.node.create_publisher(WrenchStamped, "wrench", KEEP_ALL)
+        self.node.create_subscription(PoseStamped, "indenter/pose", self._on_pose, KEEP_ALL)
 
     def _on_pose(self, message, info):
         self.written_ns.append(info["source_timestamp"])
@@ -48,23 +47,11 @@ class Listener:
             return
         time.sleep(self._answer_after_s)
         self.answered_ns.append(time.time_ns())
-        self._wrench.publish(
-            msg_adapters.encode_wrench_stamped(
-                (0, 0, 0),
-                (0, 0, 0),
-                stamp_ns=msg_adapters.message_stamp_ns(message),
-                frame_id="densetact_base",
-            )
-        )
+        stamp = {"stamp_ns": msg_adapters.message_stamp_ns(message), "frame_id": "densetact_base"}
+        self._wrench.publish(msg_adapters.encode_wrench_stamped((0, 0, 0), (0, 0, 0), **stamp))
 
     def wait_for(self, count):
-        end_s = time.monotonic() + PATIENCE_S
-        while len(self.poses) < count:
-            assert time.monotonic() < end_s, f"{len(self.poses)} of {count} poses"
-            time.sleep(0.01)
-
-    def publisher(self, kind, topic):
-        return self._node.create_publisher(kind, topic, KEEP_ALL)
+        self.wait(lambda: len(self.poses) >= count, f"{count} poses")
 
     def stamps_ns(self):
         return np.array([msg_adapters.message_stamp_ns(message) for message in self.poses])
@@ -72,26 +59,10 @@ class Listener:
     def positions_m(self):
         return np.array([msg_adapters.decode_pose_stamped(message)[0] for message in self.poses])
 
-    def close(self):
-        rclpy.try_shutdown(context=self._context)
-        self._thread.join(10.0)
-        self._node.destroy_node()
-
-
-@contextmanager
-def listening(**how):
-    listener = Listener(**how)
-    try:
-        yield listener
-    finally:
-        listener.close()
-
 
 def played(listener, **parameters):
     """Run the player to its end; return its log."""
-    with running(
-        MODULE, ready="ready:", parameters={"exit_at_end": "true", **parameters}
-    ) as player:
+    with running(MODULE, parameters={"exit_at_end": "true", **parameters}) as player:
         status = player.exit_status()
     assert status == 0, player.log
     count = int(player.log.partition("played ")[2].split()[0])
@@ -101,7 +72,7 @@ def played(listener, **parameters):
 
 
 def test_scripted_press_arrives_whole_and_in_order():
-    with listening() as listener:
+    with closing(Listener()) as listener:
         played(listener, source="press", depth_m=0.001, hold_s=0.1)
     depths = RADIUS_M - np.linalg.norm(listener.positions_m(), axis=1)
     assert depths[0] == pytest.approx(-0.002)
@@ -115,7 +86,7 @@ def test_scripted_press_arrives_whole_and_in_order():
 
 def test_real_presses_play_in_the_order_asked_for():
     numbers = [3, 0]
-    with listening() as listener:
+    with closing(Listener()) as listener:
         played(
             listener,
             source="presses",
@@ -150,7 +121,7 @@ def test_bag_plays_its_own_poses_at_its_own_times(tmp_path):
     )
     topics = Topics(pose="/arm/tip")
     write_trajectory(tmp_path / "bag", Trajectory(pose=channel), topics=topics)
-    with listening() as listener:
+    with closing(Listener()) as listener:
         played(listener, source="bag", path=tmp_path / "bag", bag_topic="/arm/tip")
     assert np.array_equal(listener.positions_m(), channel.position_m)
     assert np.array_equal(np.diff(listener.stamps_ns()), np.diff(stamps))
@@ -159,15 +130,8 @@ def test_bag_plays_its_own_poses_at_its_own_times(tmp_path):
 
 def test_lockstep_sends_a_pose_only_after_the_answer_to_the_one_before():
     # Each answer takes longer than the period of the poses.
-    with listening(answer_after_s=0.02) as listener:
-        played(
-            listener,
-            source="press",
-            depth_m=0.0002,
-            clearance_m=0.0003,
-            hold_s=0.0,
-            wait_for_answer="true",
-        )
+    with closing(Listener(answer_after_s=0.02)) as listener:
+        played(listener, **SHORT, wait_for_answer="true")
     # When a pose was written, not when it was read: they are read one after the other in any case.
     written_ns, answered_ns = np.array(listener.written_ns), np.array(listener.answered_ns)
     assert len(written_ns) == len(answered_ns) > 5
@@ -175,25 +139,16 @@ def test_lockstep_sends_a_pose_only_after_the_answer_to_the_one_before():
 
 
 def test_lockstep_goes_on_without_an_answer():
-    with listening() as listener:
-        log = played(
-            listener,
-            source="press",
-            depth_m=0.0002,
-            clearance_m=0.0003,
-            hold_s=0.0,
-            rate_hz=20.0,
-            wait_for_answer="true",
-            answer_timeout_s=0.02,
-        )
+    with closing(Listener()) as listener:
+        log = played(listener, **SHORT, rate_hz=20.0, wait_for_answer="true", answer_timeout_s=0.02)
     assert "no wrench answers" in log
 
 
 def test_loop_goes_on_until_it_is_interrupted():
-    parameters = {"loop": "true", "depth_m": 0.0002, "clearance_m": 0.0003, "hold_s": 0.0}
+    parameters = {"loop": "true", **SHORT}
     with (
-        listening() as listener,
-        running(MODULE, ready="ready:", parameters=parameters) as player,
+        closing(Listener()) as listener,
+        running(MODULE, parameters=parameters) as player,
     ):
         listener.wait_for(60)  # a pass holds 21
         assert player.interrupt(2) == 0, player.log
@@ -201,16 +156,11 @@ def test_loop_goes_on_until_it_is_interrupted():
     assert (np.diff(listener.stamps_ns()) > 0).all()
 
 
-def test_interrupt_while_it_waits_for_a_subscriber():
-    with running(MODULE, ready="ready:") as player:
-        assert player.interrupt(2) == 0, player.log
-
-
 def test_a_clock_that_stands_still_does_not_hold_the_end_up():
     """Simulated time that is stopped: a pause, or a simulation that has died."""
-    with listening() as listener:
-        clock = listener.publisher(Clock, "/clock")
-        with running(MODULE, ready="ready:", parameters={"use_sim_time": "true"}) as player:
+    with closing(Listener()) as listener:
+        clock = listener.node.create_publisher(Clock, "/clock", KEEP_ALL)
+        with running(MODULE, parameters={"use_sim_time": "true"}) as player:
             told_ns = 10**9
 
             def run_the_clock() -> bool:
@@ -262,7 +212,7 @@ def test_where_time_begins_again_the_motion_does_and_a_leap_is_left_out():
     parameters = {"use_sim_time": True, "depth_m": 0.002, "hold_s": 30.0}
     with (
         free_clock(speed=1.0) as clock,
-        listening() as listener,
+        closing(Listener()) as listener,
         running(MODULE, parameters=parameters),
     ):
         listener.wait_for(30)

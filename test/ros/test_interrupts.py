@@ -20,7 +20,7 @@ from harness import START_PATIENCE_S, check_interrupts
 @pytest.mark.parametrize(
     ("node", "count", "parameters"),
     [
-        ("indenter_player", 2, {"loop": "true", "wait_for_subscriber_s": 0.0}),
+        ("indenter_player", 2, {}),  # while it waits for a subscriber
         ("xarm_sim", 2, {}),
         ("tactile_policy", 2, {"policy": "densetact2_sphere"}),
         ("tactile_sim", 2, {"grid_spacing_m": 0.0048}),

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -143,24 +144,23 @@ def test_the_frames_of_a_driver_of_two_stay_its_own() -> None:
 def test_a_finger_takes_poses_in_its_own_frame() -> None:
     left, _ = started("gripper.launch.py")
     coarse = {"grid_spacing_m": 0.0048, "rate_hz": 10.0}
-    with running(parameters=coarse, arguments=left.arguments):
-        client = Client(topics={})
-        try:
-            states: list[PoseStamped] = []
-            client.node.create_subscription(PoseStamped, "/left/indenter/state", states.append, 5)
-            poses = client.node.create_publisher(PoseStamped, "/left/indenter/pose", 5)
-            client.wait(poses.get_subscription_count, "the finger")
-            above = msg_adapters.encode_pose_stamped(
-                (0.0, 0.0, 0.03),
-                (0.0, 0.0, 0.0, 1.0),
-                stamp_ns=client.now_ns(),
-                frame_id="left_densetact_base",
-            )
-            poses.publish(above)
-            client.wait(lambda: states, "a frame that shows the indenter")
-            assert states[0].header.frame_id == "left_densetact_base"
-        finally:
-            client.close()
+    with (
+        running(parameters=coarse, arguments=left.arguments),
+        closing(Client(topics={})) as client,
+    ):
+        states: list[PoseStamped] = []
+        client.node.create_subscription(PoseStamped, "/left/indenter/state", states.append, 5)
+        poses = client.node.create_publisher(PoseStamped, "/left/indenter/pose", 5)
+        client.wait(poses.get_subscription_count, "the finger")
+        above = msg_adapters.encode_pose_stamped(
+            (0.0, 0.0, 0.03),
+            (0.0, 0.0, 0.0, 1.0),
+            stamp_ns=client.now_ns(),
+            frame_id="left_densetact_base",
+        )
+        poses.publish(above)
+        client.wait(lambda: states, "a frame that shows the indenter")
+        assert states[0].header.frame_id == "left_densetact_base"
 
 
 SENSOR = "tactile_sim.launch.py"
@@ -199,17 +199,14 @@ def test_a_launched_player_meets_the_face_of_a_pad(write: WriteFile) -> None:
     path = write({"/**": PAD, "/**/indenter_player": own})
     nodes = started(SENSOR, params_file=path, play="true", source="press")
     (player,) = [node for node in nodes if node.executable == "indenter_player"]
-    client = Client(topics={})
-    try:
-        poses: list[PoseStamped] = []
+    poses: list[PoseStamped] = []
+    with closing(Client(topics={})) as client:
         client.node.create_subscription(PoseStamped, "indenter/pose", poses.append, 1000)
         with running(PLAYER, arguments=player.arguments) as process:
             assert process.exit_status() == 0, process.log
         assert {pose.header.frame_id for pose in poses} == {"left_pad"}
         lowest_m = min(pose.pose.position.z for pose in poses)
         assert lowest_m == pytest.approx(load_sensor("digit").gel.thickness_m - 0.001)
-    finally:
-        client.close()
 
 
 def test_the_recorder_takes_its_topics_from_the_file(write: WriteFile) -> None:
@@ -305,6 +302,18 @@ def test_nodes_can_take_what_they_are_launched_with(what: str) -> None:
             assert type(value) is type(fields[field]), field
         # What is for another node of the file must not be taken for a slip.
         assert not [name for name in set(found) - set(fields) if nearest(name, fields)]
+
+
+@pytest.mark.parametrize(
+    ("one_process", "executables"),
+    [
+        ("false", set(CLASSES) - {"indenter_player"}),
+        ("true", {"dotsim_closed_loop", "tactile_record", "time_stepper"}),
+    ],
+)
+def test_the_nodes_of_a_loop_are_started(one_process: str, executables: set[str]) -> None:
+    given = {"one_process": one_process, "clock": "simulated", "record": "true"}
+    assert {node.executable for node in started(LOOP, **given)} == executables
 
 
 @pytest.mark.parametrize("what", LAUNCHES)

@@ -33,7 +33,7 @@ from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
 from studies.timing import busy_cores
 
 PATH = "line"
-FAULT_S, WATCHED_S = 2.6, 0.4
+FAULT_S, WATCHED_S = 2.3, 0.3
 APART = (ARM, SENSOR, POLICY)
 COMPOSED_MODULE = "dotsim_ros.nodes.closed_loop.node"
 

@@ -12,19 +12,20 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import Executable
+from harness import Executable, measured_until
 from hostile import lines_of
 from policy_rig import (
     FOLLOWED,
     MODULE,
     Command,
     Rig,
+    idle_crop,
     policy_and_rig,
-    stopping_times_s,
     with_white_spot,
     write_network,
 )
@@ -159,91 +160,78 @@ def test_disabled_it_goes_on_with_zeros(rig: Rig) -> None:
         assert rig.enable(False).success
         return rig.rest_s(begun_s) - begun_s
 
-    stopping_times_s(stop, limit_s=SLACK_S)
+    measured_until(stop, below=SLACK_S, never=1.0)
     stopped_s = time.time()
     rig.wait(lambda: len(rig.after(stopped_s)) > 5, "more commands")
     assert not any(command.moves() for command in rig.after(stopped_s))
     rig.wait(lambda: rig.state().values["state"] == "disabled", "the state to be told")
 
 
-def cut_images(rig: Rig) -> float:
-    rig.has_images = False
-    time.sleep(0.05)
-    return rig.last_image_s
-
-
-def cut_poses(rig: Rig) -> float:
-    rig.has_poses = False
-    time.sleep(0.02)
-    return rig.last_pose_s
-
-
-def show(crop: Callable[[Rig], np.ndarray]) -> Callable[[Rig], float]:
-    def spoil(rig: Rig) -> float:
-        rig.crop = crop(rig)
-        return rig.next_image_s()
-
-    return spoil
-
-
-def overload(rig: Rig) -> float:
-    rig.crop = with_first_pixel(rig.idle, 255)
-    # The image before is the last one that is answered in time, a little after it came.
-    return rig.next_image_s()
-
-
-def jump(lag_s: float) -> Callable[[Rig], float]:
-    def spoil(rig: Rig) -> float:
-        rig.image_lag_s = lag_s
-        return rig.next_image_s()
-
-    return spoil
-
-
-def change_frame(rig: Rig) -> float:
-    rig.image_frame = "other_optical_frame"
-    return rig.next_image_s()
-
-
-FAULTS: dict[str, tuple[Callable[[Rig], float], str, str, str]] = {
-    "images cut": (cut_images, "stopped", "image_stale", "ms ago"),
-    "poses cut": (cut_poses, "stopped", "pose_stale", "ms ago"),
-    "NaN": (show(lambda rig: with_white_spot(rig.idle)), "latched", "not_finite", "nan"),
-    "another sensor": (show(lambda rig: 255 - rig.idle), "latched", "wrong_sensor", "another"),
+IDLE = idle_crop()
+FAULTS: dict[str, tuple[dict[str, Any], str, str, str]] = {
+    "images cut": ({"has_images": False}, "stopped", "image_stale", "ms ago"),
+    "poses cut": ({"has_poses": False}, "stopped", "pose_stale", "ms ago"),
+    "NaN": ({"crop": with_white_spot(IDLE)}, "latched", "not_finite", "nan"),
+    "another sensor": ({"crop": 255 - IDLE}, "latched", "wrong_sensor", "another"),
     "another shape": (
-        show(lambda rig: np.zeros((120, 200, 3), dtype=np.uint8)),
+        {"crop": np.zeros((120, 200, 3), dtype=np.uint8)},
         "latched",
         "wrong_sensor",
         "160x120",
     ),
-    "policy overloaded": (overload, "stopped", "policy_late", "does not keep up"),
+    # The image before is the last one that is answered in time, a little after it came.
+    "policy overloaded": (
+        {"crop": with_first_pixel(IDLE, 255)},
+        "stopped",
+        "policy_late",
+        "does not keep up",
+    ),
     "policy fails": (
-        show(lambda rig: with_first_pixel(rig.idle, 1)),
+        {"crop": with_first_pixel(IDLE, 1)},
         "latched",
         "policy_failed",
         "no memory is left",
     ),
-    "clock ahead": (jump(-1.0), "latched", "clock_jump", "image: the stamp"),
-    "clock back": (jump(1.0), "latched", "clock_jump", "image: the stamp"),
-    "frame changed": (change_frame, "latched", "wrong_sensor", "other_optical_frame"),
+    "clock ahead": ({"image_lag_s": -1.0}, "latched", "clock_jump", "image: the stamp"),
+    "clock back": ({"image_lag_s": 1.0}, "latched", "clock_jump", "image: the stamp"),
+    "frame changed": (
+        {"image_frame": "other_optical_frame"},
+        "latched",
+        "wrong_sensor",
+        "other_optical_frame",
+    ),
 }
-"""Inject a fault and return when the first message was sent that shows it, or the last before it;
-the state, the reason and a part of its words."""
+"""What of the rig is spoilt; the state, the reason and a part of its words."""
+
+
+def spoil(rig: Rig, changes: dict[str, Any]) -> float:
+    """Bring a fault about; return when the first message was sent that shows it, or the last
+    before it."""
+    for name, value in changes.items():
+        setattr(rig, name, value)
+    if "has_images" not in changes and "has_poses" not in changes:
+        return rig.next_image_s()
+    time.sleep(0.05)
+    return rig.last_image_s if "has_images" in changes else rig.last_pose_s
 
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_at_a_random_moment_stops_the_arm_in_time(rig: Rig, name: str) -> None:
     generator = np.random.default_rng(list(FAULTS).index(name))
-    inject, state, reason, words = FAULTS[name]
+    changes, state, reason, words = FAULTS[name]
 
     def stop() -> float:
         rig.start()
         time.sleep(generator.uniform(0.0, 0.1))
-        since_s = inject(rig)
+        since_s = spoil(rig, changes)
         return rig.rest_s(since_s) - since_s
 
     count = max(1, int(os.environ.get("DOTSIM_FAULTS", "0")) // len(FAULTS))
-    times_s = [t for _ in range(count) for t in stopping_times_s(stop, limit_s=STOP_S + SLACK_S)]
+    times_s = [
+        time_s
+        for _ in range(count)
+        for time_s in measured_until(stop, below=STOP_S + SLACK_S, never=1.0)
+    ]
     in_time = sum(time_s <= STOP_S for time_s in times_s)
     print(f"{in_time} of {len(times_s)} within 80 ms, the slowest {1e3 * max(times_s):.0f} ms")
     assert words in rig.wait_for_reason(state, reason).message
@@ -406,7 +394,6 @@ def test_the_order_of_the_colours_is_that_of_the_encoding(rig: Rig) -> None:
     # Read wrongly, the colours would differ from those of the idle image.
     assert float(rig.state("inference").values["image_distance"]) == distance
     rig.wait(lambda: rig.state().values["state"] == "running", "a steady motion")
-    rig.encoding = "rgb8"
 
 
 def test_two_senders_on_a_topic_are_no_start(rig: Rig) -> None:

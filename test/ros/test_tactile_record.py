@@ -7,23 +7,16 @@ import re
 import resource
 import signal
 import time
-from contextlib import contextmanager
+from contextlib import closing
 
 import numpy as np
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import (
-    PATIENCE_S,
-    Executable,
-    refused_starts,
-    running,
-    spin_in_background,
-    with_parameters,
-)
+from harness import PATIENCE_S, Executable, refused_starts, running, with_parameters
 from rclpy.qos import HistoryPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from watcher import Watcher
 
 import msg_adapters
 from dotsim_ros.cli.main import main
@@ -45,35 +38,19 @@ TOPICS = {
 COUNT = 12
 
 
-class Source:
+class Source(Watcher):
     """Publishes what a sensor does, each message to be delivered."""
 
     def __init__(self):
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self._node = rclpy.create_node("source", context=self._context)
+        super().__init__("source")
         self._publishers = {
-            topic: self._node.create_publisher(kind, topic, KEEP_ALL)
+            topic: self.node.create_publisher(kind, topic, KEEP_ALL)
             for topic, kind in TOPICS.items()
         }
-        self.statuses = []
-        self._node.create_subscription(
-            DiagnosticArray,
-            "/diagnostics",
-            lambda message: self.statuses.extend(msg_adapters.decode_diagnostics(message)),
-            10,
-        )
-        self._thread = spin_in_background(self._node)
-
-    def add(self, topic, quality):
-        """Return another publisher of a topic."""
-        return self._node.create_publisher(TOPICS[topic], topic, quality)
 
     def meet(self, *topics):
-        end_s = time.monotonic() + PATIENCE_S
-        while not all(self._publishers[topic].get_subscription_count() for topic in topics):
-            assert time.monotonic() < end_s, "nobody subscribes"
-            time.sleep(0.01)
+        met = [self._publishers[topic] for topic in topics]
+        self.wait(lambda: all(each.get_subscription_count() for each in met), "subscribers")
 
     def send(self, topic, message):
         self._publishers[topic].publish(message)
@@ -87,20 +64,6 @@ class Source:
     def deliver(self):
         for publisher in self._publishers.values():
             assert publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=PATIENCE_S))
-
-    def close(self):
-        rclpy.try_shutdown(context=self._context)
-        self._thread.join(10.0)
-        self._node.destroy_node()
-
-
-@contextmanager
-def sending():
-    source = Source()
-    try:
-        yield source
-    finally:
-        source.close()
 
 
 def recording(**parameters):
@@ -143,7 +106,7 @@ def test_everything_that_is_published_is_in_the_bag(tmp_path):
     path = tmp_path / "bag"
     frames = [frame(index) for index in range(COUNT)]
     with (
-        sending() as source,
+        closing(Source()) as source,
         recording(output=path) as recorder,
     ):
         source.meet(*TOPICS)
@@ -179,17 +142,18 @@ def test_everything_that_is_published_is_in_the_bag(tmp_path):
 @pytest.mark.fault("recording", "a camera's driver publishes as sensor data, of best effort")
 def test_what_is_published_without_delivery_is_recorded(tmp_path, answered):
     with (
-        sending() as source,
+        closing(Source()) as source,
         recording(output=tmp_path / "bag", topics="['image_raw','wrench']") as recorder,
     ):
         source.meet("image_raw", "wrench")
-        camera = source.add("image_raw", qos_profile_sensor_data)
+        camera = source.node.create_publisher(Image, "image_raw", qos_profile_sensor_data)
         recorder.wait_for_line("image_raw: a publisher offers best_effort")
-        end_s = time.monotonic() + PATIENCE_S
-        while "receiving /image_raw" not in recorder.log:
-            assert time.monotonic() < end_s
+
+        def is_received():
             camera.publish(frame(0)["image_raw"])
-            time.sleep(0.02)
+            return "receiving /image_raw" in recorder.log
+
+        source.wait(is_received, "an image in the recorder")
         assert recorder.interrupt() == 0, recorder.log
     with BagReader(tmp_path / "bag") as bag:
         images = [item.message() for item in bag.messages("/image_raw")]
@@ -205,7 +169,7 @@ def test_what_the_disk_does_not_take_is_dropped_and_told(tmp_path):
     )
     parameters = {"output": tmp_path / "bag", "queue_mb": 1}
     with (
-        sending() as source,
+        closing(Source()) as source,
         recording(**parameters) as recorder,
     ):
         source.meet("image_raw", "wrench")
@@ -294,7 +258,7 @@ def test_chosen_topics_up_to_the_end_of_the_terminal_with_a_stamp_that_is_no_tim
 ):
     path = tmp_path / "bag"
     topics = "['wrench','image_raw','indenter/pose=geometry_msgs/msg/PoseStamped']"
-    with sending() as source, recording(output=path, topics=topics) as recorder:
+    with closing(Source()) as source, recording(output=path, topics=topics) as recorder:
         source.meet("wrench", "indenter/pose")
         source.send_forces(range(100))
         source.send("wrench", wrench(100, stamp_s=-5))
@@ -319,7 +283,7 @@ def test_chosen_topics_up_to_the_end_of_the_terminal_with_a_stamp_that_is_no_tim
 @pytest.mark.fault("recording", "the recorder is killed (SIGKILL) after a second")
 def test_a_killed_recorder_leaves_what_it_wrote(tmp_path, capsys, answered):
     path = tmp_path / "bag"
-    with sending() as source, recording(output=path, topics="['wrench']") as recorder:
+    with closing(Source()) as source, recording(output=path, topics="['wrench']") as recorder:
         source.meet("wrench")
         source.send_forces(range(100))
         source.deliver()
@@ -345,7 +309,7 @@ def test_a_killed_recorder_leaves_what_it_wrote(tmp_path, capsys, answered):
 def test_a_full_disk_keeps_what_is_written(tmp_path, answered):
     path = tmp_path / "bag"
     image = np.random.default_rng(0).integers(0, 256, (240, 320, 3), dtype=np.uint8)
-    with sending() as source, recording(output=path, topics="['image_raw']") as recorder:
+    with closing(Source()) as source, recording(output=path, topics="['image_raw']") as recorder:
         source.meet("image_raw")
         resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (3 * 2**20, 3 * 2**20))
         for number in range(40):
@@ -355,7 +319,12 @@ def test_a_full_disk_keeps_what_is_written(tmp_path, answered):
             # So soon one after the other that no chunk is written before it is full.
             source.send("image_raw", message)
         assert recorder.exit_status() == 1, recorder.log
-        errors = [each for each in source.statuses if each.level == msg_adapters.Level.ERROR]
+
+        def error():
+            state = source.diagnostics.get("tactile_record: recording")
+            return state is not None and state.level == msg_adapters.Level.ERROR and state.message
+
+        reported = source.wait(error, "the error in the diagnostics")
     assert "Traceback" not in recorder.log
     with BagReader(path) as bag:
         stamps = [item.log_time_ns for item in bag.messages("/image_raw")]
@@ -367,6 +336,5 @@ def test_a_full_disk_keeps_what_is_written(tmp_path, answered):
     assert f"{len(stamps)} are in {path}" in words
     lost = int(re.search(r"; (\d+) messages are missing", words).group(1))
     assert lost >= 5
-    assert {each.name for each in errors} == {"tactile_record: recording"}
-    assert "File too large" in errors[0].message
+    assert "File too large" in reported
     answered(re.sub(r"\d+ messages", "N messages", words.replace(f" {len(stamps)} are", " M are")))

@@ -6,14 +6,9 @@
 import numpy as np
 import pytest
 
+from dotsim_ros.control.arm.command import ToolLimits
 from dotsim_ros.control.arm.kinematics import ArmKinematics
-from dotsim_ros.control.arm.simulated import (
-    STEP_S,
-    ArmFaults,
-    ArmLimits,
-    ArmResponse,
-    SimulatedArm,
-)
+from dotsim_ros.control.arm.simulated import STEP_S, ArmFaults, ArmResponse, SimulatedArm
 from dotsim_ros.geometry.pose import Pose
 
 START_S = 1000.0
@@ -31,7 +26,7 @@ def new_arm(*, limits=None, response=QUIET, seed=0):
     return SimulatedArm(
         kinematics,
         joints,
-        limits=limits or ArmLimits(),
+        limits=limits or ToolLimits(1.0, 3.14, 50.0, 20.0),
         response=response,
         start_s=START_S,
         seed=seed,
@@ -134,7 +129,7 @@ def accelerations(states):
 
 @pytest.mark.parametrize(("asked_m_s", "turn_rad_s"), [(0.5, 0.5), (30.0, 0.0)])
 def test_speed_and_acceleration_keep_their_limits_on_the_recorded_motion(asked_m_s, turn_rad_s):
-    limits = ArmLimits(linear_m_s=0.25, angular_rad_s=0.5, linear_m_s2=2.0, angular_rad_s2=4.0)
+    limits = ToolLimits(0.25, 0.5, 2.0, 4.0)
     arm = new_arm(limits=limits)
     generator = np.random.default_rng(7)
 
@@ -155,7 +150,7 @@ def test_speed_and_acceleration_keep_their_limits_on_the_recorded_motion(asked_m
 
 def test_speeds_hold_where_joints_and_singularities_hinder():
     # Wild turns and a drift outwards: joints at their limits and the arm stretched.
-    limits = ArmLimits(linear_m_s=0.25, angular_rad_s=1.0, linear_m_s2=2.0, angular_rad_s2=5.0)
+    limits = ToolLimits(0.25, 1.0, 2.0, 5.0)
     arm = new_arm(limits=limits)
     generator = np.random.default_rng(0)
     ways = np.repeat(generator.normal(size=(10, 6)), 100, axis=0)
@@ -171,7 +166,7 @@ def test_speeds_hold_where_joints_and_singularities_hinder():
 
 
 def test_at_full_stretch_the_arm_slows_down_and_keeps_every_limit():
-    limits = ArmLimits(linear_m_s=0.5, linear_m_s2=5.0)
+    limits = ToolLimits(0.5, 3.14, 5.0, 20.0)
     arm = new_arm(limits=limits)
     states = record(arm, 3.0, lambda _: along(x=0.5, y=0.1))
     assert speeds(states)[60:120].max() > 0.4
@@ -208,12 +203,12 @@ def test_a_command_that_is_not_repeated_is_stale_after_a_fifth_of_a_second():
 
 @pytest.mark.parametrize("is_emergency", [True, False])
 def test_a_stop_brakes_without_lag_and_holds_until_it_is_taken_back(is_emergency):
-    arm = new_arm(limits=ArmLimits(linear_m_s2=5.0))
+    arm = new_arm(limits=ToolLimits(1.0, 3.14, 5.0, 20.0))
     stop_s = record(arm, 0.5, lambda _: along(x=0.2))[-1].time_s
     if is_emergency:
         arm.emergency_stop(stop_s)
     else:
-        arm.fail(ArmFaults(is_stopped=True), stop_s)
+        arm.fail(ArmFaults(fail_stop=True), stop_s)
     after = record(arm, 0.5, lambda _: along(x=0.2), begin_s=stop_s)
     times = np.array([state.time_s for state in after[1:]]) - stop_s
     # 0.2 m/s at 5 m/s^2: 40 ms, and one step of the grid.
@@ -229,22 +224,11 @@ def test_a_stop_brakes_without_lag_and_holds_until_it_is_taken_back(is_emergency
     assert speeds(again)[-1] == pytest.approx(0.2, rel=1e-2)
 
 
-def test_a_velocity_that_is_no_number_stops_the_arm():
-    arm = new_arm()
-    states = record(arm, 0.3, lambda _: along(x=0.1))
-    now_s = states[-1].time_s
-    with pytest.raises(ValueError, match="not finite"):
-        arm.command(along(x=np.nan), now_s, along_tool=False)
-    after = record(arm, 0.15, begin_s=now_s)
-    assert speeds(after)[-1] < 1e-3
-    assert np.isfinite(positions(after)).all()
-
-
 def test_dropped_feedback_is_none_and_the_arm_moves_on():
     arm = new_arm()
     states = record(arm, 0.2, lambda _: along(x=0.1))
     now_s = states[-1].time_s
-    arm.fail(ArmFaults(drops_feedback=True), now_s)
+    arm.fail(ArmFaults(fail_drop_feedback=True), now_s)
     assert arm.feedback(now_s + 0.1) is None
     arm.fail(ArmFaults(), now_s + 0.1)
     heard = arm.feedback(now_s + 0.1)
@@ -255,7 +239,7 @@ def test_dropped_feedback_is_none_and_the_arm_moves_on():
 def test_a_delay_holds_commands_and_feedback_back():
     arm = new_arm()
     record(arm, 0.2)
-    arm.fail(ArmFaults(delay_s=0.15), START_S + 0.2)
+    arm.fail(ArmFaults(fail_delay_s=0.15), START_S + 0.2)
     arm.command(along(x=0.1), START_S + 0.2, along_tool=False)
     heard = [arm.feedback(START_S + 0.2 + 0.01 * index) for index in range(1, 60)]
     ages = [START_S + 0.2 + 0.01 * (i + 1) - state.time_s for i, state in enumerate(heard)]

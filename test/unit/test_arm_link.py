@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros.control.arm.command import check_plausible
-from dotsim_ros.nodes.xarm_adapter.link import Hindrance, LinkLimits, VelocityLink
+from dotsim_ros.nodes.xarm_adapter.link import Hindrance, VelocityLink
+from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
 from msg_adapters import decode_robot_state, encode_move_velocity
-from msg_adapters.xarm import quaternion_of_roll_pitch_yaw
 
 
 def robot_message(**changes):
@@ -29,7 +29,7 @@ def robot_message(**changes):
 
 
 def ready_link(now_s=0.0, **limits):
-    link = VelocityLink(LinkLimits(**limits))
+    link = VelocityLink(XarmAdapterParameters(**limits))
     link.hear(decode_robot_state(robot_message()), now_s)
     return link
 
@@ -49,18 +49,6 @@ def test_millimetres_and_roll_pitch_yaw_become_a_pose():
     assert (found * expected.inv()).magnitude() == pytest.approx(0.0, abs=1e-9)
     assert (robot.error, robot.warning, robot.mode, robot.state) == (3, 4, 5, 2)
     np.testing.assert_allclose(robot.joints_rad, 0.1)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_roll_pitch_yaw_is_the_product_that_the_manual_gives(seed):
-    roll, pitch, yaw = np.random.default_rng(seed).uniform(-np.pi, np.pi, 3)
-    product = (
-        Rotation.from_rotvec([0.0, 0.0, yaw])
-        * Rotation.from_rotvec([0.0, pitch, 0.0])
-        * Rotation.from_rotvec([roll, 0.0, 0.0])
-    )
-    found = Rotation.from_quat(quaternion_of_roll_pitch_yaw(roll, pitch, yaw))
-    assert (found * product.inv()).magnitude() == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +71,7 @@ def test_a_velocity_without_an_end_is_refused(duration_s):
 
 
 def test_a_command_is_called_and_shortened_to_the_limits():
-    link = ready_link(linear_m_s=0.1, angular_rad_s=0.5)
+    link = ready_link(speed_limit_m_s=0.1, angular_speed_limit_rad_s=0.5)
     link.command(np.array([3.0, 4.0, 0.0, 0.0, 0.0, 2.0]), 0.0, along_tool=True)
     call = link.next_call(0.01, has_service=True)
     np.testing.assert_allclose(call.twist, [0.06, 0.08, 0.0, 0.0, 0.0, 0.5])
@@ -176,7 +164,7 @@ def test_an_arm_that_is_not_ready_is_not_commanded_and_why_is_said(changes, hind
 
 
 def test_an_arm_that_is_not_heard_of_is_not_commanded():
-    link = VelocityLink(LinkLimits(silence_s=0.5))
+    link = VelocityLink(XarmAdapterParameters(silence_s=0.5))
     link.command(velocity(0.05), 0.0, along_tool=False)
     assert link.next_call(0.0, has_service=True) is None
     assert "has not been received" in link.detail

@@ -39,6 +39,7 @@ from studies.trajectory.trials import (
 )
 
 PLACES = LoopPlaces(Pose(np.array([0.35, 0.0, 0.3]), np.array([1.0, 0.0, 0.0, 0.0])))
+TOPICS = ("ee_pose", "ee_twist", "cmd_vel", "wrench", "indenter/pose")
 START_S = 1000.0
 LIMITS = SafetyLimits()
 
@@ -185,14 +186,8 @@ def test_a_bag_is_read_as_the_same_recording(tmp_path):
             rate = msg_adapters.encode_twist_stamped(twist[:3], twist[3:], frame_id="a", **known)
             felt = msg_adapters.encode_wrench_stamped((0, 0, 1.5), (0, 0, 0), frame_id="a", **known)
             there = msg_adapters.encode_pose_stamped(seen, (0, 0, 0, 1), frame_id="a", **known)
-            for topic, message in (
-                ("/left/ee_pose", tool),
-                ("/left/ee_twist", rate),
-                ("/left/cmd_vel", rate),
-                ("/left/wrench", felt),
-                ("/left/indenter/pose", there),
-            ):
-                bag.write(topic, stamp_ns, message)
+            for topic, message in zip(TOPICS, (tool, rate, rate, felt, there), strict=True):
+                bag.write(f"/left/{topic}", stamp_ns, message)
         # The recorder stopped before the pose of the tool that belongs to the indenter's last.
         known["stamp_ns"] = stamp_ns + 10_000_000
         alone = msg_adapters.encode_pose_stamped(seen + 0.001, (0, 0, 0, 1), frame_id="a", **known)
@@ -206,14 +201,8 @@ def test_a_bag_is_read_as_the_same_recording(tmp_path):
     with pytest.raises(ValueError, match="holds no topic ee_twist"):
         read_loop_bag(tmp_path / "poor")
     with BagFile(tmp_path / "apart") as bag:
-        for topic, message in (
-            ("/ee_pose", tool),
-            ("/ee_twist", rate),
-            ("/cmd_vel", rate),
-            ("/wrench", felt),
-            ("/indenter/pose", alone),
-        ):
-            bag.write(topic, stamp_ns, message)
+        for topic, message in zip(TOPICS, (tool, rate, rate, felt, alone), strict=True):
+            bag.write(f"/{topic}", stamp_ns, message)
     with pytest.raises(ValueError, match="has the time of a pose of the tool"):
         read_loop_bag(tmp_path / "apart")
 
@@ -252,9 +241,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path):
     assert len(asked) == 19
 
 
-def test_a_loop_that_does_not_start_is_tried_again_and_then_reported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_loop_that_does_not_start_is_tried_again_and_then_reported(tmp_path, capsys):
     tries = []
 
     def loop(setting: Setting, path: str, start_m: Any, seconds: float) -> LoopRecording:

@@ -34,12 +34,6 @@ LAUNCH_KEYWORDS = {
     ("launch.actions", "DeclareLaunchArgument"): {"default_value", "description", "choices"},
     ("launch.actions", "LogInfo"): {"msg"},
     ("launch.actions", "OpaqueFunction"): {"function", "args", "kwargs"},
-    ("launch.conditions", "IfCondition"): set(),
-    ("launch.conditions", "UnlessCondition"): set(),
-    ("launch.substitutions", "AndSubstitution"): set(),
-    ("launch.substitutions", "EqualsSubstitution"): set(),
-    ("launch.substitutions", "NotSubstitution"): set(),
-    ("launch.substitutions", "LaunchConfiguration"): {"default"},
     ("launch_ros.actions", "Node"): {
         "executable",
         "package",

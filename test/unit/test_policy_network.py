@@ -83,7 +83,7 @@ def test_a_loaded_policy_answers_as_the_network(written):
     with torch.inference_mode():
         expected = network(torch.from_numpy(given)[None])[0].numpy()
     for row, name in enumerate(PATHS):
-        command = load_policy(folder, name, thread_count=1)(IMAGE, IDLE)
+        command = load_policy(folder, name)(IMAGE, IDLE)
         assert command.shape == (6,)
         assert command.dtype == np.float64
         # Half precision keeps three digits of each weight.
@@ -103,17 +103,17 @@ def test_weights_are_stored_once_in_half_precision(written):
 
 
 def test_a_new_idle_image_is_noticed_even_in_the_same_array(written):
-    policy = load_policy(written[1], thread_count=1)
+    policy = load_policy(written[1])
     idle = IDLE.copy()
     first = policy(IMAGE, idle)
     idle[:] = idle[::-1]
     second = policy(IMAGE, idle)
     assert not np.array_equal(first, second)
-    np.testing.assert_array_equal(second, load_policy(written[1], thread_count=1)(IMAGE, idle))
+    np.testing.assert_array_equal(second, load_policy(written[1])(IMAGE, idle))
 
 
 def test_the_distance_is_of_the_crop_from_the_usual(written):
-    policy = load_policy(written[1], thread_count=1)
+    policy = load_policy(written[1])
     lit_alone = policy.image_distance(IDLE, IDLE)
     assert lit_alone == pytest.approx(np.sqrt(0.5))
     assert policy.image_distance(np.ascontiguousarray(IMAGE[::-1]), IDLE) > lit_alone
@@ -122,14 +122,15 @@ def test_the_distance_is_of_the_crop_from_the_usual(written):
 @pytest.mark.parametrize(
     ("image", "idle", "message"),
     [
-        (IMAGE[:, :480], IDLE, "480x480"),
+        (IMAGE[:, :480], IDLE, "480x480, expected 640x480"),
         (IMAGE, IDLE[::2, ::2], "one size"),
-        (IMAGE.astype(float), IDLE, "uint8"),
+        (IMAGE.astype(float), IDLE, "float64"),
+        (IMAGE[..., 0], IDLE, "shape"),
     ],
-    ids=["square", "sizes", "float"],
+    ids=["square", "sizes", "float", "grey"],
 )
 def test_wrong_images_are_refused(written, image, idle, message):
-    policy = load_policy(written[1], thread_count=1)
+    policy = load_policy(written[1])
     with pytest.raises(ValueError, match=message):
         policy(image, idle)
     with pytest.raises(ValueError, match=message):

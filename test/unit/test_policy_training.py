@@ -159,26 +159,6 @@ def test_the_key_is_of_what_the_episodes_hold(demonstrations, tmp_path):
     assert data_hash([same]) != data_hash([demonstrations])
 
 
-def test_the_answers_are_those_of_the_dome_that_was_demonstrated_on(
-    demonstrations, tmp_path, monkeypatch
-):
-    """A shipped sensor has the same name, and another radius."""
-    from dotsim_ros.control.policy import training as policy_training
-
-    class SeenError(Exception):
-        pass
-
-    def seen(_frames, _paths, contact, _side_px):
-        raise SeenError(contact)
-
-    smaller = DomeContact(dome_radius_m=0.014, ball_radius_m=0.003)
-    folder = with_card(demonstrations, tmp_path / "smaller", contact=asdict(smaller))
-    monkeypatch.setattr(policy_training, "PolicyExamples", seen)
-    with pytest.raises(SeenError) as caught:
-        trained([folder], tmp_path)
-    assert caught.value.args == (smaller,)
-
-
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [

@@ -7,8 +7,6 @@ import os
 import resource
 import shutil
 import struct
-import subprocess
-import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -25,7 +23,6 @@ from dotsim_ros.data.bag import (
     BagReader,
     unfinished_path,
 )
-from dotsim_ros.data.mcap.reader import Tolerance
 from dotsim_ros.data.trajectory import Topics, read_trajectory
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.live.moments import SkinMoment
@@ -176,54 +173,6 @@ def test_full_disk_keeps_every_message_that_was_written(tmp_path, length):
     assert [time_ns for topic, time_ns in found if topic == TOPIC] == [
         10**9 + index for index in range(summary.written[TOPIC])
     ]
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs the right to mount a small disk")
-def test_disk_that_is_really_full(tmp_path):
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(disk)], capture_output=True
-    )
-    if mounted.returncode != 0:
-        pytest.skip("no disk can be mounted here")
-    try:
-        recording = BagRecording(disk / "bag", {"/image_raw": IMAGE}, queue_bytes=2**26)
-        for index in range(60):
-            recording.put("/image_raw", image(index))
-        summary = recording.close()
-        assert "No space left on device" in summary.error
-        count = summary.written["/image_raw"]
-        assert count > 20
-        assert count + summary.missing == 60
-        with BagReader(disk / "bag") as bag:
-            assert len(list(bag.messages("/image_raw"))) == count
-        assert os.listdir(disk) == ["bag"]
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
-
-
-def test_recorder_that_is_killed_leaves_what_it_wrote(tmp_path):
-    code = (
-        "import os, signal, sys, time; sys.path.insert(0, sys.argv[2]); "
-        "from pathlib import Path; from test_recording import *; "
-        "r = BagRecording(Path(sys.argv[1]), {TOPIC: WRENCH}, queue_bytes=2**20); "
-        "[r.put(TOPIC, serialized(i)) for i in range(50)]; wait_until_written(r, 50); "
-        "[r.put(TOPIC, serialized(i)) for i in range(50, 80)]; "
-        "os.kill(os.getpid(), signal.SIGKILL)"
-    )
-    path = tmp_path / "bag"
-    arguments = [sys.executable, "-c", code, str(path), os.path.dirname(__file__)]
-    assert subprocess.run(arguments).returncode == -9
-    unfinished = unfinished_path(path)
-    assert [entry.name for entry in tmp_path.iterdir()] == [unfinished.name]
-    with pytest.raises(ValueError, match=r"metadata.yaml is missing; `dotsim_ros record --repair"):
-        BagReader(unfinished)
-    with BagReader(unfinished, Tolerance.UNFINISHED) as bag:
-        found = [item.message().wrench.force.x for item in bag.messages(TOPIC)]
-        assert any("was not finished" in words for words in bag.damage)
-    # Those of the last half second may be lost.
-    assert found[:50] == list(range(50))
 
 
 def wait_until_written(recording, count):

@@ -21,10 +21,11 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.tactile_policy.loops import InferenceLoop
+from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 
 TICK_S = 0.01
-LIMITS = SafetyLimits(force_n=np.inf, release_n=np.inf)
-WITH_FORCE = SafetyLimits(force_n=2.0, release_n=1.5)
+LIMITS = SafetyLimits(force_limit_n=0.0)
+WITH_FORCE = SafetyLimits(force_limit_n=2.0, force_release_share=0.75)
 SIDEWAYS = np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
 EPOCH_NS = 1_700_000_000 * 10**9
 
@@ -115,8 +116,9 @@ class Bench:
         raise AssertionError("the arm never stops")
 
 
-def bench(limits: SafetyLimits = LIMITS, **settings) -> Bench:
-    return Bench(ArmControl(limits, ControlSettings(**settings)), settings.get("along_tool", True))
+def bench(limits: SafetyLimits = LIMITS, **given) -> Bench:
+    settings = ControlSettings(**{"command_rate_hz": 100.0, **given})
+    return Bench(ArmControl(limits, settings), settings.along_tool)
 
 
 def test_it_is_off_at_start_and_follows_the_policy_once_enabled():
@@ -157,8 +159,8 @@ def test_it_cannot_be_enabled_without_its_streams_or_under_force(missing):
 )
 @pytest.mark.parametrize(("phase", "speed"), [(0, 0.001), (1, 0.02), (3, 0.05)])
 def test_what_goes_silent_stops_the_arm_in_time_and_going_on_resumes(cut, reason, phase, speed):
-    limits = replace(WITH_FORCE, half_box_m=np.full(3, 1.0))
-    rig = bench(limits, interpolates=False)
+    limits = replace(WITH_FORCE, workspace_m=(2.0, 2.0, 2.0))
+    rig = bench(limits, command_rate_hz=25.0)
     rig.command = speed * SIDEWAYS / 0.02
     rig.start()
     rig.step(phase)
@@ -180,7 +182,7 @@ def test_what_goes_silent_stops_the_arm_in_time_and_going_on_resumes(cut, reason
 
 
 def test_one_silence_is_one_stop_and_the_policy_is_not_blamed_afterwards():
-    rig = bench(replace(LIMITS, half_box_m=np.full(3, 10.0)))
+    rig = bench(replace(LIMITS, workspace_m=(2.0, 2.0, 2.0)))
     rig.command = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
     rig.start()
     rig.orders.clear()
@@ -198,7 +200,7 @@ def test_one_silence_is_one_stop_and_the_policy_is_not_blamed_afterwards():
 
 
 def test_without_resuming_a_silence_is_latched():
-    rig = bench(replace(LIMITS, resumes=False))
+    rig = bench(replace(LIMITS, resume_when_fresh=False))
     rig.start()
     rig.has_image = False
     rig.step(20)
@@ -268,15 +270,16 @@ def test_a_policy_that_fails_is_latched_and_its_last_command_is_not_given_any_mo
     rig = bench()
     rig.start()
     image = SimpleNamespace(pixels=lambda: np.zeros((2, 3, 3), np.uint8), arrival_s=rig.now_s)
+    node = SimpleNamespace(
+        now_s=lambda: rig.now_s, compute=lambda latency, work, take, broken: take(work())
+    )
     loop = InferenceLoop(
+        node,  # type: ignore[arg-type]
+        TactilePolicyParameters(maximum_image_distance=1.0),
+        SimpleNamespace(image_after=lambda last, until_s: image),  # type: ignore[arg-type]
+        rig.control,
+        Beat(0.04, ticks=4, start_s=rig.now_s, margin_s=0.005),
         policy,  # type: ignore[arg-type]
-        largest_distance=1.0,
-        inputs=SimpleNamespace(image_after=lambda last, until_s: image),  # type: ignore[arg-type]
-        control=rig.control,
-        beat=Beat(0.04, ticks=4, start_s=rig.now_s, margin_s=0.005),
-        now_s=lambda: rig.now_s,
-        compute=lambda work, take: take(work()),
-        report=lambda miss: None,
     )
     loop.idle = np.zeros((2, 3, 3), np.uint8)
     loop.run(rig.now_s)
@@ -356,11 +359,11 @@ def test_a_command_for_an_old_image_is_not_taken():
 
 
 @pytest.mark.parametrize(
-    ("along_tool", "axis", "sign"),
-    [(True, 0, 1.0), (True, 2, -1.0), (False, 1, -1.0), (False, 2, 1.0)],
+    ("frame", "axis", "sign"),
+    [("link_tcp", 0, 1.0), ("link_tcp", 2, -1.0), ("link_base", 1, -1.0), ("link_base", 2, 1.0)],
 )
-def test_it_stops_inside_of_the_workspace(along_tool, axis, sign):
-    rig = bench(along_tool=along_tool)
+def test_it_stops_inside_of_the_workspace(frame, axis, sign):
+    rig = bench(command_frame=frame)
     rig.command = np.zeros(6)
     rig.start()
     start_m = rig.tool.position_m
@@ -376,7 +379,7 @@ def test_it_stops_inside_of_the_workspace(along_tool, axis, sign):
 
 
 def test_a_tool_that_is_somewhere_else_or_turns_too_far_is_latched():
-    rig = bench(righting_gain_per_s=0.0)
+    rig = bench(hold_orientation=False)
     rig.command = np.array([0.0, 0.0, 0.0, 0.3, 0.0, 0.0])
     rig.start()
     rig.step(200)
@@ -389,7 +392,7 @@ def test_a_tool_that_is_somewhere_else_or_turns_too_far_is_latched():
 
 
 def test_the_orientation_is_held_against_the_policy():
-    held, free = bench(), bench(righting_gain_per_s=0.0)
+    held, free = bench(), bench(hold_orientation=False)
     for rig in (held, free):
         rig.command = np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
         rig.start()
@@ -437,9 +440,8 @@ def test_a_retreat_needs_no_image_and_is_latched_where_it_does_not_help():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"linear_m_s2": 0.5}, "brakes for 0.100 s"),
-        ({"angular_rad_s2": 4.0}, "brakes for 0.100 s"),
-        ({"release_n": 3.0, "force_n": 2.0}, "above the 2.0 N"),
+        ({"maximum_linear_m_s2": 0.5}, "brakes for 0.100 s"),
+        ({"maximum_angular_rad_s2": 4.0}, "brakes for 0.100 s"),
         ({"retreat_m_s": 0.1}, "faster than the arm's"),
     ],
 )
@@ -449,12 +451,17 @@ def test_limits_that_contradict_are_refused(changes, reason):
 
 
 @pytest.mark.parametrize(
-    ("seed", "along_tool", "interpolates"),
-    [(0, True, True), (1, True, False), (2, False, True), (3, False, False)],
+    ("seed", "frame", "rate_hz"),
+    [
+        (0, "link_tcp", 100.0),
+        (1, "link_tcp", 25.0),
+        (2, "link_base", 100.0),
+        (3, "link_base", 25.0),
+    ],
 )
-def test_no_limit_is_ever_exceeded_whatever_happens(seed, along_tool, interpolates):
+def test_no_limit_is_ever_exceeded_whatever_happens(seed, frame, rate_hz):
     generator = np.random.default_rng(seed)
-    rig = bench(WITH_FORCE, along_tool=along_tool, interpolates=interpolates)
+    rig = bench(WITH_FORCE, command_frame=frame, command_rate_hz=rate_hz)
     rig.start()
     home_m = rig.tool.position_m
     for _ in range(100):
@@ -477,8 +484,8 @@ def test_no_limit_is_ever_exceeded_whatever_happens(seed, along_tool, interpolat
     steps = np.diff(twists, axis=0)
     assert {State.RUNNING, State.STOPPED, State.LATCHED} <= {order.state for order in rig.orders}
     for half, speed, rate in (
-        (LINEAR, LIMITS.linear_m_s, LIMITS.linear_m_s2),
-        (ANGULAR, LIMITS.angular_rad_s, LIMITS.angular_rad_s2),
+        (LINEAR, LIMITS.tool.linear_m_s, LIMITS.tool.linear_m_s2),
+        (ANGULAR, LIMITS.tool.angular_rad_s, LIMITS.tool.angular_rad_s2),
     ):
         assert np.linalg.norm(twists[:, half], axis=1).max() <= speed * (1 + 1e-9)
         assert np.linalg.norm(steps[:, half], axis=1).max() <= rate * TICK_S * (1 + 1e-6)

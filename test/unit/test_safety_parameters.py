@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,12 +14,12 @@ import pytest
 import yaml
 from rosbags.typesys import Stores, get_typestore
 
-from dotsim_ros.control.arm.simulated import ArmFaults, ArmLimits, ArmResponse
 from dotsim_ros.control.policy.network import load_policy
 from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import MissCounter, RateMeter, Spread
+from dotsim_ros.nodes.common.parameters import FREE, READ_ONLY, from_values, known_parameters
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
@@ -40,6 +40,7 @@ BAD: list[tuple[type[Any], dict[str, Any], str]] = [
     (XarmSimParameters, {"indenter_pose": (np.nan,) + (0.0,) * 6}, "indenter_pose"),
     (XarmSimParameters, {"tool_frame": "link_base"}, "must differ"),
     (XarmSimParameters, {"base_frame": ""}, "must not be empty"),
+    (XarmSimParameters, {"fail_delay_s": 3.0}, "fail_delay_s"),
     (XarmAdapterParameters, {"duration_s": 0.0}, "duration_s"),
     (XarmAdapterParameters, {"duration_s": 0.02}, "the arm would stop between two calls"),
     (XarmAdapterParameters, {"tool_frame": "link_base"}, "must differ"),
@@ -50,7 +51,7 @@ BAD: list[tuple[type[Any], dict[str, Any], str]] = [
 @pytest.mark.parametrize(("kind", "changes", "reason"), BAD)
 def test_bad_values_and_contradictions_are_refused_with_the_reason(kind, changes, reason):
     with pytest.raises(ValueError, match=reason):
-        replace(kind(), **changes)
+        from_values(kind, changes)
 
 
 @pytest.mark.parametrize(
@@ -65,35 +66,38 @@ def test_the_shipped_file_holds_the_defaults(name, kind):
     content = yaml.safe_load(parameter_path(f"{name}.yaml").read_text())
     values = content["/**"]["ros__parameters"]
     plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-    assert kind(**plain) == kind()
-    assert set(plain) == {field.name for field in fields(kind)}
+    assert from_values(kind, plain) == kind()
+    assert set(plain) == set(known_parameters(kind))
 
 
-def test_the_defaults_are_those_of_what_they_set():
-    ours, theirs = TactilePolicyParameters().limits(), SafetyLimits()
-    for field in fields(SafetyLimits):
-        np.testing.assert_allclose(getattr(ours, field.name), getattr(theirs, field.name))
-    arm = XarmSimParameters()
-    assert (arm.limits(), arm.response(), arm.faults()) == (ArmLimits(), ArmResponse(), ArmFaults())
+def test_faults_of_an_arm_are_set_while_it_runs_and_limits_of_a_policy_are_not():
+    arm, policy = known_parameters(XarmSimParameters), known_parameters(TactilePolicyParameters)
+    assert {name for name, (_, known) in arm.items() if known.fixed == FREE} == {
+        "fail_drop_feedback",
+        "fail_delay_s",
+        "fail_stop",
+        "indenter_pose",
+        "publish_indenter",
+    }
+    assert {known.fixed for _, known in policy.values()} == {READ_ONLY}
 
 
 def test_no_guard_of_an_arm_is_off_by_default():
-    limits, link = TactilePolicyParameters().limits(), XarmAdapterParameters().limits()
+    adapter, limits = XarmAdapterParameters(), SafetyLimits()
     guards = [getattr(limits, field.name) for field in fields(limits)]
-    guards += [link.linear_m_s, link.angular_rad_s, link.stale_s, link.silence_s, link.answer_s]
+    # The arm's own watchdog among them; an image's distance has its limit in the policy's card.
+    guards += [adapter.duration_s, adapter.stale_s, adapter.silence_s, adapter.answer_s]
+    guards += [adapter.speed_limit_m_s, adapter.angular_speed_limit_rad_s]
     for guard in guards:
         assert np.isfinite(guard).all()
         assert np.all(np.asarray(guard) > 0.0)
-    # The arm's own watchdog; an image's distance has its limit in the policy's card.
-    assert XarmAdapterParameters().duration_s > 0.0
     assert load_policy(parameter_path("policies/densetact2_sphere"), "").largest_distance < 100.0
 
 
 def test_the_force_is_limited_unless_a_user_says_that_there_is_none():
-    assert np.isfinite(TactilePolicyParameters().limits().force_n)
-    without = replace(TactilePolicyParameters(), force_limit_n=0.0).limits()
-    assert np.isinf(without.force_n)
-    limits = replace(TactilePolicyParameters(), force_limit_n=2.0).limits()
+    assert np.isfinite(SafetyLimits().force_n)
+    assert np.isinf(SafetyLimits(force_limit_n=0.0).force_n)
+    limits = SafetyLimits(force_limit_n=2.0)
     assert (limits.force_n, limits.release_n) == (2.0, pytest.approx(1.6))
 
 

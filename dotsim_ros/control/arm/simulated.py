@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,66 +25,55 @@ from dotsim_ros.control.arm.command import (
 from dotsim_ros.control.arm.kinematics import ArmKinematics, JointMotion
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.quantity import check_fields, quantity
 
 STEP_S = 0.005
 REST = 1e-6
 """Below this difference (m/s, rad/s) a velocity has arrived."""
 KEPT_S = 3.0
 """How long states are kept for feedback that is delayed."""
-LONGEST_DELAY_S = 2.0
-
-
-@dataclass(frozen=True)
-class ArmLimits(ToolLimits):
-    """What the tool may do, whatever it is commanded.
-
-    The defaults are those that UFACTORY states for the tool of its arms (1 m/s, 50 m/s^2) and, for
-    its turning, those of a joint (180 degrees/s, 1146 degrees/s^2).
-    """
-
-    linear_m_s: float = 1.0
-    angular_rad_s: float = 3.14
-    linear_m_s2: float = 50.0
-    angular_rad_s2: float = 20.0
 
 
 @dataclass(frozen=True)
 class ArmResponse:
-    """How the arm answers a command.
+    """How the arm answers a command; each field says what it is.
 
-    Attributes:
-        latency_s: from a command to its first effect.
-        jitter_s: standard deviation of what comes on top of that; never less than nothing.
-        time_constant_s: of the tool's velocity on its way to what is commanded.
-        stale_s: after this long without a further command the arm stops.
+    Raises:
+        ValueError: a value out of its range.
     """
 
-    latency_s: float = 0.01
-    jitter_s: float = 0.002
-    time_constant_s: float = 0.02
-    stale_s: float = 0.2
+    latency_s: float = quantity(0.01, low=0.0, high=1.0)
+    """Latency from a command to its first effect."""
+    jitter_s: float = quantity(0.002, low=0.0, high=1.0)
+    """Standard deviation of the random delay added to the latency; the delay is never negative."""
+    time_constant_s: float = quantity(0.02, low=0.001, high=10.0)
+    """Time constant of the first-order lag of the velocity behind the commanded one."""
+    stale_s: float = quantity(0.2, low=0.02, high=10.0)
+    """The arm stops after this time without a command."""
+
+    def __post_init__(self) -> None:
+        check_fields("", self)
 
 
 @dataclass(frozen=True)
 class ArmFaults:
     """What is wrong with the arm, for tests of what it does to its controller.
 
-    Attributes:
-        drops_feedback: no feedback is published.
-        delay_s: commands act, and feedback comes, this much later.
-        is_stopped: it brakes and stays.
-
     Raises:
-        ValueError: a delay that is negative or too long.
+        ValueError: a value out of its range.
     """
 
-    drops_feedback: bool = False
-    delay_s: float = 0.0
-    is_stopped: bool = False
+    FIXED: ClassVar[str] = ""
+
+    fail_drop_feedback: bool = quantity(False)
+    """Injected failure: poses, velocities and joints are not published."""
+    fail_delay_s: float = quantity(0.0, low=0.0, high=2.0)
+    """Injected failure: commands act, and feedback is published, this much later."""
+    fail_stop: bool = quantity(False)
+    """Injected failure: the arm brakes and stays at rest."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.delay_s <= LONGEST_DELAY_S:
-            raise ValueError(f"the delay is {self.delay_s} s, expected 0 to {LONGEST_DELAY_S:g} s")
+        check_fields("", self)
 
 
 @dataclass(frozen=True)
@@ -131,7 +121,7 @@ class SimulatedArm:
         kinematics: ArmKinematics,
         start_joints_rad: FloatArray,
         *,
-        limits: ArmLimits,
+        limits: ToolLimits,
         response: ArmResponse,
         start_s: float,
         seed: int = 0,
@@ -167,15 +157,9 @@ class SimulatedArm:
         Args:
             twist: (6,) finite, m/s and rad/s; limited to what the tool may do.
             along_tool: its axes are those of the tool, which turn with it, else those of the base.
-
-        Raises:
-            ValueError: a number that is not finite: the arm is stopped.
         """
-        if not np.isfinite(twist).all():
-            self.halt(now_s)
-            raise ValueError(f"the velocity holds a number that is not finite: {twist.tolist()}")
         late_s = abs(float(self._random.normal(0.0, self.response.jitter_s)))
-        acts_s = now_s + self.response.latency_s + late_s + self.faults.delay_s
+        acts_s = now_s + self.response.latency_s + late_s + self.faults.fail_delay_s
         last_s = self._waiting[-1].acts_s if self._waiting else -np.inf
         limited = self.limits.within_speed(twist)
         self._waiting.append(_Command(max(acts_s, last_s), limited, along_tool))
@@ -222,9 +206,9 @@ class SimulatedArm:
     def feedback(self, now_s: float) -> ArmState | None:
         """Return the state that the feedback shows at this time, or None where there is none."""
         self.advance(now_s)
-        if self.faults.drops_feedback:
+        if self.faults.fail_drop_feedback:
             return None
-        heard_s = now_s - self.faults.delay_s
+        heard_s = now_s - self.faults.fail_delay_s
         for state in reversed(self._history):
             if state.time_s <= heard_s + 1e-6 * STEP_S:
                 return state
@@ -260,7 +244,7 @@ class SimulatedArm:
             self._command = self._waiting.popleft()
 
     def _is_braking(self) -> bool:
-        return self.is_emergency or self.faults.is_stopped
+        return self.is_emergency or self.faults.fail_stop
 
     def _is_commanded(self) -> bool:
         return not (self._is_braking() or self.is_stale())

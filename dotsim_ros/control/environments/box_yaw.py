@@ -141,7 +141,6 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         self.action_space = gymnasium.spaces.Discrete(len(MOVES))
         self._coupling: MujocoCoupling | None = None
         self._gel: GelFrame | None = None
-        self._velocity_m_s = np.zeros(3)
         self._count = 0
 
     @property

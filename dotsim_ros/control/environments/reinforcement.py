@@ -431,8 +431,11 @@ def _load(
     path = folder / CHECKPOINT
     try:
         content = torch.load(path, weights_only=True)
+    # What torch raises on a broken file is not bounded, and its words advise to run code of it.
     except Exception as error:
-        raise ValueError(f"{path} cannot be read ({error}); remove it to begin again") from error
+        raise ValueError(
+            f"{path} cannot be read ({type(error).__name__}); remove it to begin again"
+        ) from error
     found = content.get("format") if isinstance(content, dict) else None
     if found != FORMAT:
         raise ValueError(

@@ -136,10 +136,10 @@ def _rate_hz(times_s: FloatArray, begun_s: float, ended_s: float) -> float:
 def limits_shown(limits: SafetyLimits) -> dict[str, Any]:
     """Return the limits under the names of the figures that are held against them."""
     return {
-        "speed_mm_s": 1e3 * limits.linear_m_s,
-        "turn_rate_rad_s": limits.angular_rad_s,
-        "acceleration_m_s2": limits.linear_m_s2,
-        "turn_acceleration_rad_s2": limits.angular_rad_s2,
-        "turn_rad": limits.turn_rad,
+        "speed_mm_s": 1e3 * limits.maximum_linear_m_s,
+        "turn_rate_rad_s": limits.maximum_angular_rad_s,
+        "acceleration_m_s2": limits.maximum_linear_m_s2,
+        "turn_acceleration_rad_s2": limits.maximum_angular_rad_s2,
+        "turn_rad": limits.maximum_turn_rad,
         "excursion_mm": (1e3 * limits.half_box_m).tolist(),
     }

@@ -146,15 +146,10 @@ def recording_of(messages: Mapping[str, Sequence[Any]], **known: Any) -> LoopRec
     )
 
 
-def read_loop_bag(
-    path: Path,
-    *,
-    tool_from_sensor: Pose | None = None,
-    notes: Mapping[str, Any] | None = None,
-) -> LoopRecording:
-    """Read what `tactile_record` writes by params/closed_loop.yaml; where the indenter stands is
-    what its newest pose says that has a tool pose of its own time (a recorder may stop between the
-    two).
+def read_loop_bag(path: Path, *, notes: Mapping[str, Any] | None = None) -> LoopRecording:
+    """Read what `tactile_record` writes by params/closed_loop.yaml, with the sensor's base as the
+    tool; where the indenter stands is what its newest pose says that has a tool pose of its own
+    time (a recorder may stop between the two).
 
     Raises:
         FileNotFoundError: nothing is there.
@@ -177,12 +172,8 @@ def read_loop_bag(
             f"{path}: no pose of the indenter has the time of a pose of the tool, so that it "
             "cannot be placed; expected both as xarm_sim publishes them"
         )
-    tool_from_sensor = tool_from_sensor or Pose()
-    sensor = compose(_pose_of(held[of_tool[-1]]), tool_from_sensor)
-    indenter = compose(sensor, _pose_of(seen[of_indenter[-1]]))
-    return recording_of(
-        messages, indenter=indenter, tool_from_sensor=tool_from_sensor, notes=notes or {}
-    )
+    indenter = compose(_pose_of(held[of_tool[-1]]), _pose_of(seen[of_indenter[-1]]))
+    return recording_of(messages, indenter=indenter, notes=notes or {})
 
 
 def _decoded(messages: Mapping[str, Sequence[Any]], name: str) -> tuple[FloatArray, FloatArray]:

@@ -283,7 +283,7 @@ class Demonstrator:
             return images[0]
 
         if self.plan.policy and kind != WANDER:
-            policy = load_policy(Path(self.plan.policy), kind, thread_count=1)
+            policy = load_policy(Path(self.plan.policy), kind)
             start, count = Pose(places[0]), len(places)
             follow(policy, press, looks[0].idle, start, frame_count=count, rate_hz=RATE_HZ)
         else:

@@ -197,7 +197,7 @@ class Policy:
         return float(np.sqrt(np.mean(np.square(deviation, dtype=np.float64))))
 
 
-def load_policy(folder: Path, path: str = "", *, thread_count: int = THREADS) -> Policy:
+def load_policy(folder: Path, path: str = "") -> Policy:
     """Return the policy that a folder holds.
 
     Args:
@@ -219,7 +219,7 @@ def load_policy(folder: Path, path: str = "", *, thread_count: int = THREADS) ->
         folder / GRAPH,
         inputs={INPUT: (1, CHANNEL_COUNT, card.side_px, card.side_px)},
         output=(1, len(card.paths), COMMAND_SIZE),
-        thread_count=thread_count,
+        thread_count=THREADS,
         noun=POLICY.noun,
     )
     return Policy(

@@ -24,8 +24,19 @@ from dotsim_ros.control.arm.command import (
     turn_between,
     zero_twist,
 )
-from dotsim_ros.control.safety_layer.limits import Readings, Reason, SafetyLimits, State
+from dotsim_ros.control.safety_layer.limits import (
+    CONTROL_RATE_HZ,
+    POLICY_RATE_HZ,
+    TICK_S,
+    Readings,
+    Reason,
+    SafetyLimits,
+    State,
+)
 from dotsim_ros.control.safety_layer.supervisor import Supervisor
+from dotsim_ros.io.quantity import check_fields, quantity
+
+TOOL_FRAME, BASE_FRAME = "link_tcp", "link_base"
 
 LONGEST_STEP_TICKS = 2.0
 """A control loop that was held up must not make up for it with one large step."""
@@ -33,22 +44,46 @@ LONGEST_STEP_TICKS = 2.0
 
 @dataclass(frozen=True)
 class ControlSettings:
-    """How commands are given.
+    """How commands are given; each field says what it is.
 
-    Attributes:
-        along_tool: the axes of the commands are those of the tool, else those of the base.
-        interpolates: go from each of the policy's commands to the next on a line.
-        lead_s: how much later than its image a command takes effect; see `CommandPredictor`.
-        righting_gain_per_s: rate back to the orientation at which the loop was enabled, for each
-            radian; 0: the policy alone turns the tool.
+    Raises:
+        ValueError: a value out of its range.
     """
 
-    along_tool: bool = True
-    interpolates: bool = True
-    period_s: float = 0.04
-    lead_s: float = 0.0
-    righting_gain_per_s: float = 2.0
-    righting_limit_rad_s: float = 0.1
+    command_frame: str = quantity(TOOL_FRAME, choices=(TOOL_FRAME, BASE_FRAME))
+    """Axes of the commands: those of the tool, or those of the arm's base."""
+    command_rate_hz: float = quantity(POLICY_RATE_HZ, low=POLICY_RATE_HZ, high=CONTROL_RATE_HZ)
+    """25: each command of the policy is published once; 100: commands between them are interpolated
+    linearly."""
+    command_lead_s: float = quantity(0.0, low=0.0, high=0.2)
+    """How long after its image a command takes effect: the commands are extrapolated by as much. 0:
+    they are published as they are."""
+    hold_orientation: bool = quantity(True)
+    """Turn the tool back to its orientation when the node was enabled, which touch alone does not
+    identify."""
+    orientation_gain_per_s: float = quantity(2.0, low=0.01, high=20.0)
+    """Gain of that rotation: angular speed for each radian of error."""
+    orientation_limit_rad_s: float = quantity(0.1, low=1e-3, high=4.0)
+    """Limit of the angular speed of that rotation."""
+
+    def __post_init__(self) -> None:
+        check_fields("", self)
+        if self.command_rate_hz not in (POLICY_RATE_HZ, CONTROL_RATE_HZ):
+            raise ValueError(
+                f"command_rate_hz is {self.command_rate_hz:g}, expected {POLICY_RATE_HZ:g} or "
+                f"{CONTROL_RATE_HZ:g}"
+            )
+
+    @property
+    def along_tool(self) -> bool:
+        """Whether the axes of the commands are those of the tool, else those of the base."""
+        return self.command_frame == TOOL_FRAME
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether each tick has a command of its own, on a line from one of the policy's to the
+        next."""
+        return self.command_rate_hz == CONTROL_RATE_HZ
 
 
 @dataclass(frozen=True)
@@ -76,8 +111,8 @@ class ArmControl:
         self._settings = settings
         self._lock = RLock()
         self._supervisor = Supervisor(limits)
-        self._interpolator = CommandInterpolator(settings.period_s)
-        self._predictor = CommandPredictor(settings.lead_s, settings.period_s)
+        self._interpolator = CommandInterpolator(1.0 / POLICY_RATE_HZ)
+        self._predictor = CommandPredictor(settings.command_lead_s, 1.0 / POLICY_RATE_HZ)
         self._policy_command, self._policy_s = zero_twist(), -np.inf
         self._twist, self._tick_s = zero_twist(), -np.inf
 
@@ -158,13 +193,12 @@ class ArmControl:
 
     def _moved(self, readings: Readings, state: State, passed_s: float) -> Twist:
         """Return how far the command gets towards what the state asks for."""
-        limits = self.limits
         if state in (State.RUNNING, State.RETREATING):
             target = self._target(readings, state)
-            passed_s = min(passed_s, LONGEST_STEP_TICKS * limits.tick_s)
+            passed_s = min(passed_s, LONGEST_STEP_TICKS * TICK_S)
         else:
             target = zero_twist()
-        return limits.approached(self._twist, target, passed_s)
+        return self.limits.tool.approached(self._twist, target, passed_s)
 
     def _target(self, readings: Readings, state: State) -> Twist:
         assert readings.tool is not None
@@ -175,11 +209,12 @@ class ArmControl:
         else:
             interpolated = self._interpolator.at(readings.now_s)
             target = interpolated if settings.interpolates else self._policy_command.copy()
-            home = self._supervisor.home
-            assert home is not None
-            turn = settings.righting_gain_per_s * turn_between(readings.tool, home)
-            target[ANGULAR] += shortened(turn, settings.righting_limit_rad_s)
-        target = self.limits.within_speed(target)
+            if settings.hold_orientation:
+                home = self._supervisor.home
+                assert home is not None
+                turn = settings.orientation_gain_per_s * turn_between(readings.tool, home)
+                target[ANGULAR] += shortened(turn, settings.orientation_limit_rad_s)
+        target = self.limits.tool.within_speed(target)
         return target if settings.along_tool else in_base_axes(target, readings.tool)
 
     def _along_base(self, twist: Twist, readings: Readings) -> Twist:

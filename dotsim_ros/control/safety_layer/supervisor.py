@@ -77,7 +77,9 @@ class Supervisor:
             return self.state
         # A slower arm may wait longer: that must not restart what has stopped.
         is_stopped = self.state is State.STOPPED
-        brake_s = self.limits.longest_brake_s if is_stopped else self.limits.brake_time_s(command)
+        brake_s = (
+            self.limits.longest_brake_s if is_stopped else self.limits.tool.brake_time_s(command)
+        )
         timeout_s = self.limits.timeout_s(brake_s)
         reason, detail = self._old_data(readings, timeout_s)
         is_blind = reason in (Reason.IMAGE_STALE, Reason.IMAGE_DELAYED)
@@ -104,7 +106,7 @@ class Supervisor:
         assert home is not None
         velocity = command[LINEAR]
         coasting_s = self.limits.reaction_s + readings.pose.age_s
-        braking_m = velocity * np.linalg.norm(velocity) / (2.0 * self.limits.linear_m_s2)
+        braking_m = velocity * np.linalg.norm(velocity) / (2.0 * self.limits.maximum_linear_m_s2)
         stop_m = tool.position_m + velocity * coasting_s + braking_m - home.position_m
         beyond = np.abs(stop_m) > self.limits.half_box_m
         if not beyond.any():
@@ -137,7 +139,7 @@ class Supervisor:
                     if np.isinf(stream.age_s)
                     else f"the newest {name} came {1e3 * stream.age_s:.0f} ms ago"
                 )
-            if abs(stream.delay_s) > limits.delay_s:
+            if abs(stream.delay_s) > limits.maximum_delay_s:
                 side = "after" if stream.delay_s > 0.0 else "before"
                 return delayed, (
                     f"the newest {name} came {abs(stream.delay_s):.3f} s {side} the time of its "
@@ -146,7 +148,7 @@ class Supervisor:
         return Reason.NONE, ""
 
     def _stop(self, reason: Reason, detail: str) -> None:
-        if not self.limits.resumes:
+        if not self.limits.resume_when_fresh:
             self.latch(reason, detail)
         elif self.state is not State.STOPPED or self.reason is not reason:
             self._enter(State.STOPPED, reason, detail)
@@ -169,8 +171,7 @@ class Supervisor:
 
     def _must_retreat(self, readings: Readings) -> bool:
         is_retreating = self.state is State.RETREATING
-        limit_n = self.limits.release_n if is_retreating else self.limits.force_n
-        return readings.force_n > limit_n
+        return readings.force_n > (self.limits.release_n if is_retreating else self.limits.force_n)
 
     def _retreat(self, readings: Readings) -> None:
         assert readings.tool is not None
@@ -204,9 +205,9 @@ class Supervisor:
                 f"{np.round(1e3 * self.limits.half_box_m, 1).tolist()} mm are allowed",
             )
         turn_rad = float(np.linalg.norm(turn_between(tool, home)))
-        if turn_rad > self.limits.turn_rad:
+        if turn_rad > self.limits.maximum_turn_rad:
             self.latch(
                 Reason.WORKSPACE,
                 f"the tool is turned by {turn_rad:.3f} rad from how it was enabled, "
-                f"{self.limits.turn_rad:.3f} are allowed",
+                f"{self.limits.maximum_turn_rad:.3f} are allowed",
             )

@@ -18,8 +18,6 @@ from typing import Any
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from dotsim_ros.io.documents import is_number, parse_yaml, value_text
@@ -42,8 +40,6 @@ _EXPECTED = {
     bool: "true or false",
     list: "a list of numbers, such as [0.0, 0.0, 0.05]",
 }
-
-
 SWITCH = ("true", "false")
 
 
@@ -81,7 +77,7 @@ def own_node(executable: str, **options: Any) -> Node:
     return Node(package="dotsim_ros", executable=executable, output="screen", **options)
 
 
-def static_transform(parent: Any, child: Any, place: Mapping[str, Any], **options: Any) -> Node:
+def static_transform(parent: str, child: str, place: Mapping[str, str], **options: Any) -> Node:
     """Return what publishes the place of a child frame in its parent: x, y, z (m) and roll (rad),
     by name. Needs tf2_ros."""
     arguments = [each for axis, value in place.items() for each in (f"--{axis}", value)]
@@ -94,12 +90,11 @@ def static_transform(parent: Any, child: Any, place: Mapping[str, Any], **option
 
 
 def recorder(namespace: str, parameters: Sequence[str]) -> Node:
-    """Return the recorder, which starts where the argument `record` is true."""
+    """Return the recorder."""
     return own_node(
         "tactile_record",
         namespace=namespace,
         parameters=parameters,
-        condition=IfCondition(LaunchConfiguration("record")),
         # The bag appears once all that waits is written: the usual 5 s could lose it.
         sigterm_timeout="60",
     )
@@ -129,6 +124,11 @@ def check_arguments(
 def text_of(context: LaunchContext, name: str) -> str:
     """Return an argument as it was given, or its default."""
     return str(context.launch_configurations[name])
+
+
+def is_on(context: LaunchContext, name: str) -> bool:
+    """Return whether an argument of the choices `SWITCH` is true."""
+    return text_of(context, name) == "true"
 
 
 def given(context: LaunchContext, kinds: Mapping[str, type]) -> dict[str, Any]:

@@ -11,25 +11,27 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from dotsim_ros.io.quantity import Quantity, quantities_of
+from dotsim_ros.io.quantity import Quantity, meanings_of, quantities_of
 
 Kind = TypeVar("Kind")
 
 FREE = ""
 READ_ONLY = "read-only"
 CONFIGURED = "read-only while the node is configured"
-"""When a parameter is fixed: `Quantity.fixed`, and `FIXED` of a class for all of its fields."""
+"""When a parameter is fixed: `Quantity.fixed`, or else `FIXED` of its class, or of the one that
+its class is a group of."""
 
 
-def known_parameters(kind: type) -> dict[str, tuple[Any, Quantity]]:
+def known_parameters(kind: type, fixed: str = FREE) -> dict[str, tuple[Any, Quantity]]:
     """Return default and description of each parameter of a class and its groups, by name."""
     found = {}
+    fixed = getattr(kind, "FIXED", fixed)
     for field in dataclasses.fields(kind):
         if dataclasses.is_dataclass(field.default):
-            found.update(known_parameters(type(field.default)))
+            found.update(known_parameters(type(field.default), fixed))
     for name, (default, known) in quantities_of(kind).items():
-        fixed = getattr(kind, "FIXED", FREE) if known.fixed is None else known.fixed
-        found[name] = (default, dataclasses.replace(known, fixed=fixed))
+        own = fixed if known.fixed is None else known.fixed
+        found[name] = (default, dataclasses.replace(known, help=meanings_of(kind)[name], fixed=own))
     return found
 
 

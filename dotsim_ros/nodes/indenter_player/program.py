@@ -24,7 +24,7 @@ from dotsim_ros.data.scripted import (
     twist,
 )
 from dotsim_ros.data.shipped_presses import ShippedPress, read_presses
-from dotsim_ros.data.trajectory import Topics, WrenchChannel, read_trajectory
+from dotsim_ros.data.trajectory import Topics, read_trajectory
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.documents import value_text
@@ -51,12 +51,6 @@ class PlayedForces:
     force_n: FloatArray
     frame_id: str
 
-    @classmethod
-    def recorded(cls, wrench: WrenchChannel, first_pose_ns: int) -> PlayedForces:
-        """Return the forces of a recording, given the stamp of its first pose."""
-        time_s = np.asarray(1e-9 * (wrench.stamp_ns - first_pose_ns), dtype=np.float64)
-        return cls(time_s, wrench.force_n, wrench.frame_id)
-
     def at(self, time_s: float) -> FloatArray:
         """Return the force (3,) at a time: between two it is linear, outside of them the nearest
         holds."""
@@ -78,25 +72,6 @@ class Program:
     frame_id: str
     rate_hz: float
     forces: PlayedForces | None = None
-
-
-def _radius_m(parameters: PlayerParameters, gel: GelSpecification) -> float:
-    return parameters.outer_radius_m or gel.outer_radius_m
-
-
-def _met(parameters: PlayerParameters) -> tuple[GelSpecification, Site]:
-    """Return the gel that a scripted motion meets, and where."""
-    gel = load_sensor(parameters.sensor).gel
-    site = Site(
-        outer_radius_m=_radius_m(parameters, gel),
-        tilt_rad=float(np.deg2rad(parameters.tilt_deg)),
-        azimuth_rad=float(np.deg2rad(parameters.azimuth_deg)),
-        spin_rad=float(np.deg2rad(parameters.spin_deg)),
-        clearance_m=parameters.clearance_m,
-    )
-    if gel.shape != DOME:
-        site = _pad_site(gel, site, depth_m=parameters.depth_m)
-    return gel, site
 
 
 def _pad_site(gel: GelSpecification, site: Site, *, depth_m: float) -> Site:
@@ -152,40 +127,6 @@ def _pad_slide(
     )
 
 
-def _press(parameters: PlayerParameters) -> Motion:
-    _, site = _met(parameters)
-    return press_hold_release(
-        site,
-        depth_m=parameters.depth_m,
-        hold_s=parameters.hold_s,
-        speed_m_s=parameters.speed_m_s,
-    )
-
-
-def _slide(parameters: PlayerParameters) -> Motion:
-    gel, site = _met(parameters)
-    move = slide if gel.shape == DOME else partial(_pad_slide, gel)
-    return move(
-        site,
-        depth_m=parameters.depth_m,
-        distance_m=parameters.slide_distance_m,
-        heading_rad=float(np.deg2rad(parameters.slide_heading_deg)),
-        speed_m_s=parameters.speed_m_s,
-        slide_speed_m_s=parameters.slide_speed_m_s,
-    )
-
-
-def _twist(parameters: PlayerParameters) -> Motion:
-    _, site = _met(parameters)
-    return twist(
-        site,
-        depth_m=parameters.depth_m,
-        angle_rad=float(np.deg2rad(parameters.twist_angle_deg)),
-        speed_m_s=parameters.speed_m_s,
-        rotation_rate_rad_s=float(np.deg2rad(parameters.twist_rate_deg_s)),
-    )
-
-
 def _chosen(presses: tuple[ShippedPress, ...], numbers: tuple[int, ...]) -> list[ShippedPress]:
     if numbers == (-1,):
         return list(presses)
@@ -198,8 +139,7 @@ def _chosen(presses: tuple[ShippedPress, ...], numbers: tuple[int, ...]) -> list
     return [presses[number] for number in numbers]
 
 
-def _presses(parameters: PlayerParameters) -> Motion:
-    gel = load_sensor(parameters.sensor).gel
+def _presses(parameters: PlayerParameters, gel: GelSpecification) -> Motion:
     if gel.shape != DOME:
         raise ValueError(
             f"source is presses, which were recorded on a dome, but the sensor "
@@ -208,7 +148,7 @@ def _presses(parameters: PlayerParameters) -> Motion:
     path = parameters.path or parameter_path(SHIPPED_PRESSES)
     motions = [
         press.motion(
-            outer_radius_m=_radius_m(parameters, gel),
+            outer_radius_m=parameters.outer_radius_m or gel.outer_radius_m,
             indenter_radius_m=parameters.indenter_radius_m,
             speed_m_s=parameters.speed_m_s,
             hold_s=parameters.hold_s,
@@ -220,7 +160,42 @@ def _presses(parameters: PlayerParameters) -> Motion:
     return in_sequence(motions)
 
 
-SCRIPTS = {"press": _press, "slide": _slide, "twist": _twist, "presses": _presses}
+def _motion(parameters: PlayerParameters) -> Motion:
+    """Return the motion against the sensor's gel that the parameters ask for."""
+    gel, depth_m = load_sensor(parameters.sensor).gel, parameters.depth_m
+    if parameters.source == "presses":
+        return _presses(parameters, gel)
+    site = Site(
+        outer_radius_m=parameters.outer_radius_m or gel.outer_radius_m,
+        tilt_rad=float(np.deg2rad(parameters.tilt_deg)),
+        azimuth_rad=float(np.deg2rad(parameters.azimuth_deg)),
+        spin_rad=float(np.deg2rad(parameters.spin_deg)),
+        clearance_m=parameters.clearance_m,
+    )
+    if gel.shape != DOME:
+        site = _pad_site(gel, site, depth_m=depth_m)
+    speed_m_s = parameters.speed_m_s
+    if parameters.source == "press":
+        return press_hold_release(
+            site, depth_m=depth_m, hold_s=parameters.hold_s, speed_m_s=speed_m_s
+        )
+    if parameters.source == "twist":
+        return twist(
+            site,
+            depth_m=depth_m,
+            angle_rad=float(np.deg2rad(parameters.twist_angle_deg)),
+            speed_m_s=speed_m_s,
+            rotation_rate_rad_s=float(np.deg2rad(parameters.twist_rate_deg_s)),
+        )
+    move = slide if gel.shape == DOME else partial(_pad_slide, gel)
+    return move(
+        site,
+        depth_m=depth_m,
+        distance_m=parameters.slide_distance_m,
+        heading_rad=float(np.deg2rad(parameters.slide_heading_deg)),
+        speed_m_s=speed_m_s,
+        slide_speed_m_s=parameters.slide_speed_m_s,
+    )
 
 
 def _bag(parameters: PlayerParameters) -> Program:
@@ -232,13 +207,12 @@ def _bag(parameters: PlayerParameters) -> Program:
     if channel is None or (force_topic and wrench is None):
         absent = parameters.bag_topic if channel is None else force_topic
         raise ValueError(f"{parameters.path} holds no message on {absent}: name the bag's topic")
-    times_s = (channel.stamp_ns - channel.stamp_ns[0]) * 1e-9
-    return Program(
-        Motion(times_s, tuple(channel.poses())),
-        channel.frame_id,
-        parameters.rate_hz,
-        None if wrench is None else PlayedForces.recorded(wrench, int(channel.stamp_ns[0])),
-    )
+    first_ns, forces = channel.stamp_ns[0], None
+    if wrench is not None:
+        time_s = np.asarray(1e-9 * (wrench.stamp_ns - first_ns), dtype=np.float64)
+        forces = PlayedForces(time_s, wrench.force_n, wrench.frame_id)
+    motion = Motion((channel.stamp_ns - first_ns) * 1e-9, tuple(channel.poses()))
+    return Program(motion, channel.frame_id, parameters.rate_hz, forces)
 
 
 def program_of(parameters: PlayerParameters) -> Program:
@@ -251,8 +225,9 @@ def program_of(parameters: PlayerParameters) -> Program:
     if parameters.source == "bag":
         program = _bag(parameters)
     else:
-        motion = SCRIPTS[parameters.source](parameters)
-        program = Program(motion, parameters.frame_id, parameters.rate_hz or DEFAULT_RATE_HZ)
+        program = Program(
+            _motion(parameters), parameters.frame_id, parameters.rate_hz or DEFAULT_RATE_HZ
+        )
     if parameters.loop:
         back = travel(program.motion.poses[-1], program.motion.poses[0])
         program = replace(program, motion=joined(program.motion, back))

@@ -10,6 +10,7 @@ The sensor, the policy and the arm are the executables that a user starts, with 
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -29,13 +30,14 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.documents import read_yaml
 from dotsim_ros.io.files import parameter_path
+from dotsim_ros.nodes.common.parameters import from_values
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.loop.loop_time import REALTIME, SIMULATED, RealTime, SteppedTime
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
 from dotsim_ros.nodes.simulated_time.participants import Participant
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
-from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
 
 SENSOR, ARM, POLICY, RECORDER = "tactile_sim", "xarm_sim", "tactile_policy", "tactile_record"
 COMPOSED = "closed_loop"
@@ -83,15 +85,12 @@ class LoopSetup:
     def limits(self) -> SafetyLimits:
         """Return what the policy's node lets the arm do."""
         given = loop_parameters(POLICY) | dict(self.policy_parameters)
-        return TactilePolicyParameters(**given).limits()
+        return from_values(TactilePolicyParameters, given).limits
 
     def places(self) -> LoopPlaces:
         """Return where the arm starts."""
-        settings = XarmSimParameters(**loop_parameters(ARM) | dict(self.arm_parameters))
-        return LoopPlaces(
-            pose_of(settings.start_pose, "start_pose"),
-            pose_of(settings.tool_from_sensor, "tool_from_sensor"),
-        )
+        settings = from_values(XarmSimParameters, loop_parameters(ARM) | dict(self.arm_parameters))
+        return LoopPlaces(settings.pose("start_pose"), settings.pose("tool_from_sensor"))
 
 
 def loop_parameters(executable: str) -> dict[str, Any]:
@@ -176,24 +175,9 @@ class ClosedLoop:
         """Return a node's process."""
         return self._processes[executable]
 
-    def start_sensor(self) -> None:
-        """Start the sensor, or another one in place of the one that runs."""
-        self._start((SENSOR,))
-
-    def start_policy(self, path: str) -> None:
-        """Start the policy for a path, in place of the one that runs, and show it the sensor at
-        rest."""
-        self._start((POLICY,), path)
-        self.rest()
-        self.calibrate_idle()
-
-    def start_stand_ins(self) -> None:
-        """Start the arm and the sensor, for a controller of the user's."""
-        self._start((ARM, SENSOR))
-
     def start(self, path: str, *, order: Sequence[str] = (ARM, SENSOR, POLICY)) -> None:
-        """Start all nodes at once in an order, the policy for a path, and show it the sensor at
-        rest."""
+        """Start nodes in an order, the policy for a path, in place of those that run, and show it
+        the sensor at rest."""
         if self.setup.one_process:
             parameters = {
                 f"{node}:{name}": value
@@ -205,11 +189,12 @@ class ClosedLoop:
                 self._await(COMPOSED, f"[{executable}]: ready:")
             self._expect()
         else:
-            self._start(order, path)
+            self.start_nodes(*order, path=path)
         self.rest()
         self.calibrate_idle()
 
-    def _start(self, executables: Sequence[str], path: str = "") -> None:
+    def start_nodes(self, *executables: str, path: str = "") -> None:
+        """Start nodes at once, in place of those that run; the policy for a path."""
         for executable in executables:
             is_policy = executable == POLICY
             self._launch(
@@ -445,9 +430,7 @@ class ClosedLoop:
             self._finish_bag()
         return self.recording(
             {
-                "stops": {
-                    k: n - before.get(k, 0) for k, n in after.items() if n > before.get(k, 0)
-                },
+                "stops": dict(Counter(after) - Counter(before)),
                 "state": state,
                 "reason": reason,
                 "detail": detail,

@@ -22,6 +22,7 @@ from dotsim_ros.io.arrays import BoolArray, FloatArray
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.loop.closed_loop import (
+    ARM,
     SENSOR,
     ClosedLoop,
     LoopSetup,
@@ -156,7 +157,7 @@ class ControllerLoop:
         )
 
     def __enter__(self) -> ControllerLoop:
-        self._loop.start_stand_ins()
+        self._loop.start_nodes(ARM, SENSOR)
         return self
 
     def __exit__(self, *_exception: object) -> None:

@@ -16,7 +16,6 @@ from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
 from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings
 
 REALTIME, SIMULATED = "realtime", "simulated"
-CLOCKS = (SIMULATED, REALTIME)
 POLL_S = 0.02
 STEPPED_POLL_S = 0.04
 

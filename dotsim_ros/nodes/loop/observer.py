@@ -3,8 +3,8 @@
 
 """Receives what a closed loop publishes and calls its services, for programs that judge it.
 
-Messages are kept as they come over the wire, with the times at which the middleware sent and
-received them, and unpacked afterwards: hearing 250 of them a second must not cost the loop a core.
+Messages are kept as they come over the wire, with the times at which the middleware sent them, and
+unpacked afterwards: receiving 250 of them a second must not cost the loop a core.
 """
 
 from __future__ import annotations
@@ -41,11 +41,10 @@ PATIENCE_S = 30.0
 
 @dataclass(frozen=True)
 class LoopTraffic:
-    """A message, unpacked, and when the middleware sent and received it, by the system clock."""
+    """A message, unpacked, and when the middleware sent it, by the system clock."""
 
     message: Any
     sent_ns: int
-    received_ns: int
 
 
 class LoopObserver:
@@ -74,7 +73,7 @@ class LoopObserver:
         self.diagnostics_ns: dict[str, int] = {}
         self._types = dict(topics)
         self._lock = Lock()
-        self._kept: dict[str, list[tuple[bytes, int, int]]] = {name: [] for name in topics}
+        self._kept: dict[str, list[tuple[bytes, int]]] = {name: [] for name in topics}
         self._clients: dict[str, Any] = {}
         for topic, kind in topics.items():
             self.node.create_subscription(kind, topic, self._keeper(topic), OBSERVER_QOS, raw=True)
@@ -108,7 +107,7 @@ class LoopObserver:
         with self._lock:
             kept = list(self._kept[topic] if last is None else self._kept[topic][-last:])
         kind = self._types[topic]
-        return [LoopTraffic(deserialize_message(raw, kind), *times) for raw, *times in kept]
+        return [LoopTraffic(deserialize_message(raw, kind), sent_ns) for raw, sent_ns in kept]
 
     def wait(
         self, is_reached: Callable[[], Any], what: str, *, timeout_s: float = PATIENCE_S
@@ -151,12 +150,12 @@ class LoopObserver:
             self._executor.spin()
 
     def _keeper(self, topic: str) -> Any:
-        """Return a callback; rclpy's types know none that takes the times as well."""
+        """Return a callback; rclpy's types know none that takes the time as well."""
         kept = self._kept[topic]
 
         def keep(serialized: bytes, info: Any) -> None:
             with self._lock:
-                kept.append((serialized, info["source_timestamp"], info["received_timestamp"]))
+                kept.append((serialized, info["source_timestamp"]))
 
         return keep
 

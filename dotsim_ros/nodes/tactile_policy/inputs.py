@@ -15,11 +15,11 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image
 
 import msg_adapters
 from dotsim_ros.control.arm.command import check_reach
+from dotsim_ros.control.safety_layer.arm_control import BASE_FRAME
 from dotsim_ros.control.safety_layer.freshness import HeardMessage, StreamWatch
 from dotsim_ros.control.safety_layer.limits import Readings, Reason
 from dotsim_ros.geometry.pose import Pose
@@ -28,11 +28,7 @@ from dotsim_ros.nodes.common.counters import milliseconds
 from dotsim_ros.nodes.common.health import Report
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.reasons import reason_of
-from dotsim_ros.nodes.tactile_policy.parameters import (
-    BASE_FRAME,
-    RAW,
-    TactilePolicyParameters,
-)
+from dotsim_ros.nodes.tactile_policy.parameters import RAW, TactilePolicyParameters
 from msg_adapters import Level
 
 # Best effort loses images between processes; of several that wait, only the newest counts.
@@ -111,7 +107,7 @@ class PolicyInputs:
             ),
             self._subscribe(PoseStamped, "ee_pose", self._on_pose, STATE_QOS),
         ]
-        self.hears_force = parameters.force_limit_n > 0.0
+        self.hears_force = parameters.limits.force_limit_n > 0.0
         if self.hears_force:
             subscriptions.append(
                 self._subscribe(WrenchStamped, "wrench", self._on_wrench, STATE_QOS)
@@ -179,13 +175,7 @@ class PolicyInputs:
             except ValueError as error:
                 self.refuse(topic, error)
 
-        return self._node.create_subscription(
-            kind,
-            topic,
-            hear,
-            qos,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        return self._node.open_subscription(kind, topic, hear, qos)
 
     def _stamp_ns(self, message: Any) -> int:
         stamp_ns = msg_adapters.message_stamp_ns(message)

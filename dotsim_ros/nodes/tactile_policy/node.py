@@ -12,57 +12,42 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import SetBool, Trigger
 
-import msg_adapters
-from dotsim_ros.control.arm.command import ANGULAR, LINEAR, Twist, zero_twist
-from dotsim_ros.control.policy.network import load_policy
-from dotsim_ros.control.safety_layer.arm_control import ArmControl, Order
-from dotsim_ros.control.safety_layer.limits import Reason, State
+from dotsim_ros.control.arm.command import zero_twist
+from dotsim_ros.control.policy.network import Policy, load_policy
+from dotsim_ros.control.safety_layer.arm_control import ArmControl
+from dotsim_ros.control.safety_layer.limits import CONTROL_RATE_HZ, POLICY_RATE_HZ, State
 from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.beat import Beat
-from dotsim_ros.nodes.common.counters import Miss
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.health import statuses_of
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.priority import take_priority
 from dotsim_ros.nodes.common.spin import run_node
-from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
 from dotsim_ros.nodes.tactile_policy.inputs import NO_FORCE, NO_FORCE_LIMIT, PolicyInputs
-from dotsim_ros.nodes.tactile_policy.loops import ControlLoop, InferenceLoop
-from dotsim_ros.nodes.tactile_policy.parameters import (
-    CONTROL_RATE_HZ,
-    POLICY_RATE_HZ,
-    TICKS,
-    TactilePolicyParameters,
-)
-
-if TYPE_CHECKING:
-    from dotsim_ros.control.policy.network import Policy
+from dotsim_ros.nodes.tactile_policy.loops import INFERENCE_BROKEN, ControlLoop, InferenceLoop
+from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from msg_adapters import Status
 
 COMMAND_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 IMAGE_MARGIN_S = 0.005
 TOUCHED_N = 0.1
 """A force above this means that the sensor is not at rest."""
-LOG_PERIOD_S = 1.0
-INFERENCE_BROKEN = "inference failed: the arm stops when no command comes"
 CONTROL_BROKEN = "control failed: the arm stops when no command comes"
 SWITCH_INTERVAL_S = 0.0005
 """How long Python lets a thread run before another one that waits: the control loop has little time
 to wait for the interpreter; the default is 5 ms."""
 
-Loader = Callable[[Path, str], "Policy"]
+Loader = Callable[[Path, str], Policy]
 
 
 class TactilePolicy(WorkingNode):
@@ -81,46 +66,23 @@ class TactilePolicy(WorkingNode):
                 f"the policy {value_text(self._policy.name)} was trained for "
                 f"{self._policy.rate_hz} Hz, expected {POLICY_RATE_HZ:g} Hz"
             )
-        self._control = ArmControl(self._settings.limits(), self._settings.control())
+        self._control = ArmControl(self._settings.limits, self._settings.control)
         self._inputs = PolicyInputs(self, self._settings, latch=self._control.latch)
-        self._commands = self.create_publisher(
-            TwistStamped,
-            "~/cmd_vel",
-            COMMAND_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        self._commands = self.open_publisher(TwistStamped, "~/cmd_vel", COMMAND_QOS)
         beat = Beat(
-            1.0 / POLICY_RATE_HZ, ticks=TICKS, start_s=self.now_s(), margin_s=IMAGE_MARGIN_S
+            1.0 / POLICY_RATE_HZ,
+            ticks=round(CONTROL_RATE_HZ / POLICY_RATE_HZ),
+            start_s=self.now_s(),
+            margin_s=IMAGE_MARGIN_S,
         )
-        latency = Latency(self._settings.inference_latency_s, seed=self._settings.latency_seed)
-        self._inference = InferenceLoop(
-            self._policy,
-            largest_distance=self._settings.maximum_image_distance or self._policy.largest_distance,
-            inputs=self._inputs,
-            control=self._control,
-            beat=beat,
-            now_s=self.now_s,
-            compute=partial(self.compute, latency, broken=INFERENCE_BROKEN),
-            report=self._report_miss,
-        )
-        self._loop = ControlLoop(
-            self._control,
-            inputs=self._inputs,
-            inference=self._inference,
-            beat=beat,
-            every_tick=self._settings.command_rate_hz == CONTROL_RATE_HZ,
-            now_s=self.now_s,
-            clock_ns=self.time_ns,
-            publish=self._publish,
-            changed=self._report_change,
-            report=self._report_miss,
-        )
+        shared = self, self._settings, self._inputs, self._control, beat
+        self._inference = InferenceLoop(*shared, self._policy)
+        self._loop = ControlLoop(*shared, self._inference, self._commands)
         if self._settings.idle_image:
             idle = read_image(Path(self._settings.idle_image))
             # Refuses one that the policy cannot use.
             self._policy(idle, idle)
             self._inference.idle = idle
-        self._logged_s: dict[tuple[State, Reason], float] = {}
         self.report_health(
             self._settings.diagnostics_period_s,
             self._health,
@@ -140,12 +102,12 @@ class TactilePolicy(WorkingNode):
         self._policy.image_distance(blank, blank)
         self._policy(blank, blank)
         if not self.is_simulated:
-            self._publish(zero_twist(), self.time_ns())
+            self._loop.publish(zero_twist(), self.time_ns())
         # Before the loops: the first line of a log takes its time as well.
         self.get_logger().info(
             f"ready: {self._policy.name}, path {self._policy.path}, "
-            f"{self._settings.command_rate_hz:g} commands a second on {self._commands.topic_name}; "
-            "disabled until it is enabled by"
+            f"{self._settings.control.command_rate_hz:g} commands a second on "
+            f"{self._commands.topic_name}; disabled until it is enabled by"
         )
         name = self.get_fully_qualified_name()
         if not self._settings.idle_image:
@@ -159,37 +121,6 @@ class TactilePolicy(WorkingNode):
         self._loop.begin(self.now_s())
         self.start_work("inference", self._inference, INFERENCE_BROKEN)
         self.start_work("control", self._loop, CONTROL_BROKEN)
-
-    def _publish(self, twist: Twist, stamp_ns: int) -> None:
-        self._commands.publish(
-            msg_adapters.encode_twist_stamped(
-                twist[LINEAR],
-                twist[ANGULAR],
-                stamp_ns=stamp_ns,
-                frame_id=self._settings.command_frame,
-            )
-        )
-
-    def _report_change(self, order: Order) -> None:
-        now_s = self.now_s()
-        key = (order.state, order.reason)
-        is_throttled = order.state is not State.LATCHED
-        if is_throttled and now_s - self._logged_s.get(key, -np.inf) < LOG_PERIOD_S:
-            return
-        self._logged_s[key] = now_s
-        text = f"{order.state.value}: {order.detail}" if order.detail else order.state.value
-        if order.state is State.LATCHED:
-            self.get_logger().error(f"{text} [{order.reason}]; call set_enabled once it is safe")
-        elif order.detail:
-            self.get_logger().warning(f"{text} [{order.reason}]")
-        else:
-            self.get_logger().info(text)
-
-    def _report_miss(self, miss: Miss) -> None:
-        before = f"; {miss.unlogged} more since the last such line" if miss.unlogged else ""
-        self.get_logger().warning(
-            f"{miss.loop}: a deadline was missed by {1e3 * miss.late_s:.0f} ms{before}"
-        )
 
     def _health(self) -> list[Status]:
         now_s = self.now_s()

@@ -75,33 +75,17 @@ class RecordParameters:
 
     FIXED: ClassVar[str] = READ_ONLY
 
-    output: str = quantity(
-        "",
-        help="folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the "
-        "recording ends it has .partial behind its name",
-        is_path=True,
-    )
+    output: str = quantity("", is_path=True)
+    """folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the recording ends
+    it has .partial behind its name"""
     topics: tuple[str, ...] = quantity(
-        (
-            "image_raw",
-            "camera_info",
-            "depth/image",
-            "points",
-            "wrench",
-            "indenter/pose",
-            "indenter/state",
-        ),
-        help="topics to record: names of the sensor, or NAME=PACKAGE/msg/TYPE of a stamped message",
+        tuple(name for name in SENSOR_TOPICS if name != "image_raw/compressed")
     )
-    queue_mb: int = quantity(
-        512,
-        help="memory (MB) for messages that wait for the disk; messages beyond it are dropped",
-        low=1,
-        high=65536,
-    )
-    duration_s: float = quantity(
-        0.0, help="end the recording after this time; 0: when stopped", low=0.0, high=1e6
-    )
+    """topics to record: names of the sensor, or NAME=PACKAGE/msg/TYPE of a stamped message"""
+    queue_mb: int = quantity(512, low=1, high=65536)
+    """memory (MB) for messages that wait for the disk; messages beyond it are dropped"""
+    duration_s: float = quantity(0.0, low=0.0, high=1e6)
+    """end the recording after this time; 0: when stopped"""
 
     def __post_init__(self) -> None:
         check_fields("", self)

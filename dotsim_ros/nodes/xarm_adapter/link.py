@@ -14,12 +14,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from dotsim_ros.control.arm.command import (
-    ToolLimits,
-    Twist,
-    check_reach,
-    zero_twist,
-)
+from dotsim_ros.control.arm.command import Twist, check_reach, zero_twist
+from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
 from msg_adapters import RobotState
 
 VELOCITY_MODE = 5
@@ -39,23 +35,6 @@ class Hindrance(StrEnum):
 
 
 @dataclass(frozen=True)
-class LinkLimits(ToolLimits):
-    """What may be sent; faster commands are scaled down.
-
-    Attributes:
-        stale_s: a command that is older counts as zero.
-        silence_s: after this long without the arm's state no commands are sent.
-        answer_s: longest wait for the answer of a call.
-    """
-
-    linear_m_s: float = 0.1
-    angular_rad_s: float = 0.5
-    stale_s: float = 0.1
-    silence_s: float = 0.5
-    answer_s: float = 0.5
-
-
-@dataclass(frozen=True)
 class Call:
     """A velocity (6,) to send, along the axes of the tool or of the base, in m/s and rad/s."""
 
@@ -70,14 +49,15 @@ class VelocityLink:
     has been answered, then by nothing. Not for several threads at once.
 
     Attributes:
+        settings: what may be sent, and how old what it depends on may be.
         robot: the arm's newest state, None before the first.
         hindrance: why no command was sent at the last call of `next_call`.
         counts: calls by what became of them.
         last_refusal: the newest answer other than success, in words.
     """
 
-    def __init__(self, limits: LinkLimits) -> None:
-        self.limits = limits
+    def __init__(self, settings: XarmAdapterParameters) -> None:
+        self.settings = settings
         self.hindrance = Hindrance.SILENT
         self.detail = "the arm's state has not been received"
         self.counts: Counter[str] = Counter()
@@ -93,7 +73,7 @@ class VelocityLink:
     def command(self, twist: Twist, now_s: float, *, along_tool: bool) -> None:
         """Take a velocity (6,) along the axes of the tool or of the base, in m/s and rad/s; the
         newest replaces all before."""
-        self._call = Call(self.limits.within_speed(twist), along_tool)
+        self._call = Call(self.settings.tool.within_speed(twist), along_tool)
         self._command_s = now_s
 
     def drop(self) -> None:
@@ -102,7 +82,7 @@ class VelocityLink:
 
     def is_commanded(self, now_s: float) -> bool:
         """Return whether there is a command that is not stale."""
-        return now_s - self._command_s <= self.limits.stale_s
+        return now_s - self._command_s <= self.settings.stale_s
 
     def hear(self, robot: RobotState, now_s: float) -> None:
         """Note the arm's state.
@@ -115,8 +95,8 @@ class VelocityLink:
 
     def next_call(self, now_s: float, *, has_service: bool) -> Call | None:
         """Return what to send now, or None; a call that is returned must be sent."""
-        if self._sent is not None and now_s - self._sent_s > self.limits.answer_s:
-            self.failed(f"no answer within {self.limits.answer_s:g} s")
+        if self._sent is not None and now_s - self._sent_s > self.settings.answer_s:
+            self.failed(f"no answer within {self.settings.answer_s:g} s")
         self.hindrance, self.detail = self._obstacle(now_s, has_service)
         if self.hindrance is not Hindrance.NONE:
             return None
@@ -157,7 +137,7 @@ class VelocityLink:
         robot, silence_s = self.robot, now_s - self._robot_s
         if robot is None:
             return Hindrance.SILENT, "the arm's state has not been received"
-        if silence_s > self.limits.silence_s:
+        if silence_s > self.settings.silence_s:
             return Hindrance.SILENT, f"the arm's state was last received {silence_s:.2f} s ago"
         if robot.error:
             return (

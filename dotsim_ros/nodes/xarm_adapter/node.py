@@ -13,7 +13,6 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.control.arm.command import ANGULAR, LINEAR, Twist
@@ -47,16 +46,11 @@ class XarmAdapter(WorkingNode):
         self._settings = declare(self, XarmAdapterParameters)
         service, state = _driver_types()
         self._lock = RLock()
-        self._link = VelocityLink(self._settings.limits())
+        self._link = VelocityLink(self._settings)
         self._future: Any = None
         self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=self.now_s())
         self._client = self.create_client(service, self._settings.service)
-        self._poses = self.create_publisher(
-            PoseStamped,
-            "ee_pose",
-            POSE_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        self._poses = self.open_publisher(PoseStamped, "ee_pose", POSE_QOS)
         self._input = VelocityInput(
             self,
             base_frame=self._settings.base_frame,
@@ -160,10 +154,9 @@ class XarmAdapter(WorkingNode):
 
     def _arm_report(self) -> Report:
         link, robot = self._link, self._link.robot
+        counted = ("calls", "held_back", "refused", "failed")
         values = {
-            **{
-                name: str(link.counts[name]) for name in ("calls", "held_back", "refused", "failed")
-            },
+            **{name: str(link.counts[name]) for name in counted},
             "last_refusal": link.last_refusal,
             "hindrance": link.hindrance.value,
         }
@@ -181,7 +174,7 @@ class XarmAdapter(WorkingNode):
     def _change_parameters(self, changed: XarmAdapterParameters) -> None:
         with self._lock:
             self._settings = changed
-            self._link.limits = changed.limits()
+            self._link.settings = changed
 
 
 def _driver_types() -> tuple[type, type]:

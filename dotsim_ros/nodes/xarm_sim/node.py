@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -30,7 +29,7 @@ from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.nodes.common.velocity_input import VelocityInput
-from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
 from msg_adapters import Level, Status
 
 FEEDBACK_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
@@ -53,10 +52,10 @@ class XarmSim(WorkingNode):
         self._arm = self._make_arm(self._start_s)
         self._pace = self._new_pace()
         self._place_indenter()
-        self._poses = self._publisher(PoseStamped, "ee_pose")
-        self._twists = self._publisher(TwistStamped, "ee_twist")
-        self._joints = self._publisher(JointState, "joint_states")
-        self._indenters = self._publisher(PoseStamped, "indenter/pose")
+        self._poses = self.open_publisher(PoseStamped, "ee_pose", FEEDBACK_QOS)
+        self._twists = self.open_publisher(TwistStamped, "ee_twist", FEEDBACK_QOS)
+        self._joints = self.open_publisher(JointState, "joint_states", FEEDBACK_QOS)
+        self._indenters = self.open_publisher(PoseStamped, "indenter/pose", FEEDBACK_QOS)
         self._input = VelocityInput(
             self,
             base_frame=self._settings.base_frame,
@@ -82,14 +81,6 @@ class XarmSim(WorkingNode):
             f"{self._settings.base_frame}"
         )
 
-    def _publisher(self, kind: type, topic: str) -> Any:
-        return self.create_publisher(
-            kind,
-            topic,
-            FEEDBACK_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
-
     def _new_pace(self) -> FramePace:
         """Return deadlines from now on that fall on the grid of the arm's states."""
         rate_hz = self._settings.rate_hz
@@ -100,25 +91,25 @@ class XarmSim(WorkingNode):
         settings = self._settings
         kinematics = ArmKinematics(joint_speed_rad_s=settings.joint_speed_limit_rad_s)
         try:
-            joints = kinematics.joints_at(pose_of(settings.start_pose, "start_pose"))
+            joints = kinematics.joints_at(settings.pose("start_pose"))
         except ValueError as error:
             raise ValueError(f"start_pose: {error}") from None
         kinematics.posture_rad = joints
         arm = SimulatedArm(
             kinematics,
             joints,
-            limits=settings.limits(),
-            response=settings.response(),
+            limits=settings.tool,
+            response=settings.response,
             start_s=start_s,
             seed=settings.seed,
         )
-        arm.fail(settings.faults(), start_s)
+        arm.fail(settings.faults, start_s)
         return arm
 
     def _place_indenter(self) -> None:
         settings = self._settings
-        self._indenter = pose_of(settings.indenter_pose, "indenter_pose")
-        self._sensor = pose_of(settings.tool_from_sensor, "tool_from_sensor")
+        self._indenter = settings.pose("indenter_pose")
+        self._sensor = settings.pose("tool_from_sensor")
 
     def _tick(self) -> None:
         now_s, ahead_ns = self._clocks()
@@ -224,9 +215,9 @@ class XarmSim(WorkingNode):
             "late": str(self._pace.late),
             "dropped": str(self._pace.dropped),
             "emergency_stop": str(arm.is_emergency).lower(),
-            "fail_drop_feedback": str(arm.faults.drops_feedback).lower(),
-            "fail_delay_s": f"{arm.faults.delay_s:g}",
-            "fail_stop": str(arm.faults.is_stopped).lower(),
+            "fail_drop_feedback": str(arm.faults.fail_drop_feedback).lower(),
+            "fail_delay_s": f"{arm.faults.fail_delay_s:g}",
+            "fail_stop": str(arm.faults.fail_stop).lower(),
         }
         if arm.is_emergency:
             return Level.ERROR, "emergency stop: call reset to continue", values
@@ -264,13 +255,12 @@ class XarmSim(WorkingNode):
         return response
 
     def _change_parameters(self, changed: XarmSimParameters) -> None:
-        faults = changed.faults()
         with self._lock:
             self._settings = changed
             self._place_indenter()
-            if faults != self._arm.faults:
-                self._arm.fail(faults, self.now_s())
-                self.get_logger().warning(f"failing on request: {faults}")
+            if changed.faults != self._arm.faults:
+                self._arm.fail(changed.faults, self.now_s())
+                self.get_logger().warning(f"failing on request: {changed.faults}")
 
 
 def _stamp_of(state: ArmState, ahead_ns: int) -> int:

@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
-from dotsim_ros.control.arm.simulated import LONGEST_DELAY_S, ArmFaults, ArmLimits, ArmResponse
+from dotsim_ros.control.arm.command import ToolLimits
+from dotsim_ros.control.arm.simulated import ArmFaults, ArmResponse
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.quantity import check_fields, quantity
 from dotsim_ros.nodes.common.parameters import FREE, READ_ONLY
@@ -20,107 +21,62 @@ from dotsim_ros.nodes.common.parameters import FREE, READ_ONLY
 class XarmSimParameters:
     """Parameters of `xarm_sim`; each field says what it is.
 
+    The greatest speeds and accelerations are by default those that UFACTORY states for the tool of
+    its arms and, for its turning, those of a joint (180 degrees/s, 1146 degrees/s^2).
+
     Raises:
         ValueError: a value out of its range, a pose that is none, or frames that are the same.
     """
 
     FIXED: ClassVar[str] = READ_ONLY
 
-    rate_hz: float = quantity(
-        100.0,
-        help="Rate of the feedback; the arm's driver publishes at 100 Hz with report_type dev.",
-        low=1.0,
-        high=200.0,
-    )
-    base_frame: str = quantity("link_base", help="Frame of the poses and of velocities.")
-    tool_frame: str = quantity(
-        "link_tcp", help="A velocity stamped with this frame is taken along the tool's axes."
-    )
-    sensor_frame: str = quantity(
-        "densetact_base", help="Frame of indenter/pose: the base of the sensor."
-    )
+    response: ArmResponse = field(default=ArmResponse())
+    faults: ArmFaults = field(default=ArmFaults())
+
+    rate_hz: float = quantity(100.0, low=1.0, high=200.0)
+    """Rate of the feedback; the arm's driver publishes at 100 Hz with report_type dev."""
+    base_frame: str = quantity("link_base")
+    """Frame of the poses and of velocities."""
+    tool_frame: str = quantity("link_tcp")
+    """A velocity stamped with this frame is taken along the tool's axes."""
+    sensor_frame: str = quantity("densetact_base")
+    """Frame of indenter/pose: the base of the sensor."""
     start_pose: tuple[float, ...] = quantity(
-        (0.35, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0),
-        help="Pose of the tool in the base at the start and after ~/reset: x, y, z in metres, then "
-        "the quaternion x, y, z, w. The default points down.",
-        low=-10.0,
-        high=10.0,
+        (0.35, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0), low=-10.0, high=10.0
     )
+    """Pose of the tool in the base at the start and after ~/reset: x, y, z in metres, then the
+    quaternion x, y, z, w. The default points down."""
     tool_from_sensor: tuple[float, ...] = quantity(
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
-        help="Pose of the sensor's base in the tool's frame, numbers as in start_pose.",
-        low=-10.0,
-        high=10.0,
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), low=-10.0, high=10.0
     )
+    """Pose of the sensor's base in the tool's frame, numbers as in start_pose."""
     indenter_pose: tuple[float, ...] = quantity(
-        (0.35, 0.0, 0.28, 1.0, 0.0, 0.0, 0.0),
-        help="Pose in the base of a fixed indenter that the sensor is moved against, numbers as in "
-        "start_pose; its +z points away from the gel. The default is 4.25 mm before the dome.",
-        low=-10.0,
-        high=10.0,
-        fixed=FREE,
+        (0.35, 0.0, 0.28, 1.0, 0.0, 0.0, 0.0), low=-10.0, high=10.0, fixed=FREE
     )
-    publish_indenter: bool = quantity(
-        True, help="Publish indenter/pose, which moves the indenter of tactile_sim.", fixed=FREE
-    )
-    latency_s: float = quantity(
-        0.01, help="Latency from a command to its first effect.", low=0.0, high=1.0
-    )
-    jitter_s: float = quantity(
-        0.002,
-        help="Standard deviation of the random delay added to the latency; the delay is never "
-        "negative.",
-        low=0.0,
-        high=1.0,
-    )
-    time_constant_s: float = quantity(
-        0.02,
-        help="Time constant of the first-order lag of the velocity behind the commanded one.",
-        low=0.001,
-        high=10.0,
-    )
-    stale_s: float = quantity(
-        0.2, help="The arm stops after this time without a command.", low=0.02, high=10.0
-    )
-    seed: int = quantity(0, help="Seed of the jitter.", low=0, high=2**31 - 1)
-    speed_limit_m_s: float = quantity(1.0, help="Speed limit of the tool.", low=0.001, high=1.0)
-    angular_speed_limit_rad_s: float = quantity(
-        3.14, help="Limit of the tool's angular speed.", low=0.001, high=10.0
-    )
-    acceleration_limit_m_s2: float = quantity(
-        50.0, help="Limit of the tool's linear acceleration.", low=0.01, high=50.0
-    )
-    angular_acceleration_limit_rad_s2: float = quantity(
-        20.0, help="Limit of the tool's angular acceleration.", low=0.01, high=200.0
-    )
-    joint_speed_limit_rad_s: float = quantity(
-        4.0,
-        help="Speed limit of each joint; where one would exceed it, all are scaled down alike. "
-        "UFACTORY allows 3.14.",
-        low=0.01,
-        high=10.0,
-    )
-    fail_drop_feedback: bool = quantity(
-        False, help="Injected failure: poses, velocities and joints are not published.", fixed=FREE
-    )
-    fail_delay_s: float = quantity(
-        0.0,
-        help="Injected failure: commands act, and feedback is published, this much later.",
-        low=0.0,
-        high=LONGEST_DELAY_S,
-        fixed=FREE,
-    )
-    fail_stop: bool = quantity(
-        False, help="Injected failure: the arm brakes and stays at rest.", fixed=FREE
-    )
-    diagnostics_period_s: float = quantity(
-        1.0, help="Period of the diagnostics.", low=0.05, high=60.0
-    )
+    """Pose in the base of a fixed indenter that the sensor is moved against, numbers as in
+    start_pose; its +z points away from the gel. The default is 4.25 mm before the dome."""
+    publish_indenter: bool = quantity(True, fixed=FREE)
+    """Publish indenter/pose, which moves the indenter of tactile_sim."""
+    seed: int = quantity(0, low=0, high=2**31 - 1)
+    """Seed of the jitter."""
+    speed_limit_m_s: float = quantity(1.0, low=0.001, high=1.0)
+    """Speed limit of the tool."""
+    angular_speed_limit_rad_s: float = quantity(3.14, low=0.001, high=10.0)
+    """Limit of the tool's angular speed."""
+    acceleration_limit_m_s2: float = quantity(50.0, low=0.01, high=50.0)
+    """Limit of the tool's linear acceleration."""
+    angular_acceleration_limit_rad_s2: float = quantity(20.0, low=0.01, high=200.0)
+    """Limit of the tool's angular acceleration."""
+    joint_speed_limit_rad_s: float = quantity(4.0, low=0.01, high=10.0)
+    """Speed limit of each joint; where one would exceed it, all are scaled down alike. UFACTORY
+    allows 3.14."""
+    diagnostics_period_s: float = quantity(1.0, low=0.05, high=60.0)
+    """Period of the diagnostics."""
 
     def __post_init__(self) -> None:
         check_fields("", self)
         for name in ("start_pose", "tool_from_sensor", "indenter_pose"):
-            pose_of(getattr(self, name), name)
+            self.pose(name)
         frames = (self.base_frame, self.tool_frame, self.sensor_frame)
         if "" in frames or len(set(frames)) < 3:
             raise ValueError(
@@ -128,44 +84,24 @@ class XarmSimParameters:
                 "not be empty"
             )
 
-    def limits(self) -> ArmLimits:
-        """Return what the tool may do."""
-        return ArmLimits(
-            linear_m_s=self.speed_limit_m_s,
-            angular_rad_s=self.angular_speed_limit_rad_s,
-            linear_m_s2=self.acceleration_limit_m_s2,
-            angular_rad_s2=self.angular_acceleration_limit_rad_s2,
+    @property
+    def tool(self) -> ToolLimits:
+        """What the tool may do, whatever it is commanded."""
+        return ToolLimits(
+            self.speed_limit_m_s,
+            self.angular_speed_limit_rad_s,
+            self.acceleration_limit_m_s2,
+            self.angular_acceleration_limit_rad_s2,
         )
 
-    def response(self) -> ArmResponse:
-        """Return how the arm answers a command."""
-        return ArmResponse(
-            latency_s=self.latency_s,
-            jitter_s=self.jitter_s,
-            time_constant_s=self.time_constant_s,
-            stale_s=self.stale_s,
-        )
+    def pose(self, name: str) -> Pose:
+        """Return the pose that a parameter gives as x, y, z and a quaternion x, y, z, w.
 
-    def faults(self) -> ArmFaults:
-        """Return what shall fail."""
-        return ArmFaults(
-            drops_feedback=self.fail_drop_feedback,
-            delay_s=self.fail_delay_s,
-            is_stopped=self.fail_stop,
-        )
-
-
-def pose_of(numbers: tuple[float, ...], name: str) -> Pose:
-    """Return the pose of x, y, z and a quaternion x, y, z, w.
-
-    Raises:
-        ValueError: another count of numbers, or a quaternion that is not of unit length.
-    """
-    if len(numbers) != 7:
-        raise ValueError(
-            f"{name} needs 7 numbers, x, y, z and the quaternion x, y, z, w; got {len(numbers)}"
-        )
-    try:
-        return Pose(np.array(numbers[:3]), np.array(numbers[3:]))
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+        Raises:
+            ValueError: the quaternion is not of unit length.
+        """
+        numbers = np.array(getattr(self, name))
+        try:
+            return Pose(numbers[:3], numbers[3:])
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
