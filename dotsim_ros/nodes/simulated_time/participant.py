@@ -25,7 +25,7 @@ from dotsim_ros.nodes.simulated_time.protocol import (
     Sent,
     Step,
     decode_step,
-    encode_answer,
+    encode,
 )
 from msg_adapters import serialized_stamp_ns
 
@@ -118,7 +118,7 @@ class StepParticipant:
             hear()
         self._go(step.time_ns)
         self._answers.publish(
-            encode_answer(Answer(step.time_ns, Kind.DONE, self._name, self._life, self._changed()))
+            encode(Answer(step.time_ns, Kind.DONE, self._name, self._life, self._changed()))
         )
 
     def _waits(self) -> str:
@@ -158,7 +158,7 @@ class StepParticipant:
             read={topic: each.get_publisher_count() for topic, each in subscriptions},
             waits=self._waits(),
         )
-        self._answers.publish(encode_answer(answer))
+        self._answers.publish(encode(answer))
 
 
 def stamp_of(message: Any) -> int:
