@@ -14,11 +14,10 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped
-from harness import Executable
+from harness import Executable, Watcher
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
-from watcher import Watcher
 
 import msg_adapters
 from dotsim_ros.nodes.simulated_time.participants import read_participants

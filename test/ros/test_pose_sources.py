@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -157,13 +157,10 @@ class SourceClient(Client):
 @contextmanager
 def simulator(source: str, **parameters: Any) -> Iterator[tuple[Executable, SourceClient]]:
     """Run a sensor that reads a source, and a simulator that has met it."""
-    with running(parameters={**PARAMETERS, "pose_source": source, **parameters}) as executable:
-        client = SourceClient(source)
-        try:
-            client.meet()
-            yield executable, client
-        finally:
-            client.close()
+    given = {**PARAMETERS, "pose_source": source, **parameters}
+    with running(parameters=given) as executable, closing(SourceClient(source)) as client:
+        client.meet()
+        yield executable, client
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import closing
 
 import numpy as np
 import psutil
@@ -249,14 +250,11 @@ def test_ten_thousand_poses_a_second_leave_the_frames_running(session: Session) 
 def test_a_subscriber_that_never_reads_stops_nobody(session: Session) -> None:
     client = session[1]
     first = press(client, 0.001)
-    with_deaf = Client(is_deaf=True)
-    try:
+    with closing(Client(is_deaf=True)):
         client.wait(lambda: client.node.count_subscribers("image_raw") > 1, "the deaf reader")
         count = int(client.state("frames").values["frames"])
         client.wait_for_state("frames", lambda state: int(state.values["frames"]) > count + 25)
         assert press(client, 0.001).is_same(first)
-    finally:
-        with_deaf.close()
 
 
 def test_calibrate_idle_is_refused_in_contact_and_done_without(session: Session) -> None:
