@@ -27,6 +27,7 @@ class NodeProcess:
         parameters: ROS parameters, as on the command line.
         environment: variables to set next to those of this process.
         arguments: further ROS arguments, such as remappings.
+        code: Python code to run in the module's place.
         command: a program with its arguments to run instead; ROS arguments are added.
     """
 
@@ -37,11 +38,12 @@ class NodeProcess:
         *,
         environment: Mapping[str, str] | None = None,
         arguments: Sequence[str] = (),
+        code: str = "",
         command: Sequence[str] = (),
     ) -> None:
         self.executable = executable
-        own = [sys.executable, "-u", "-m", f"dotsim_ros.nodes.{executable}.node"]
-        started = [*(command or own), "--ros-args", *arguments]
+        program = ["-c", code] if code else ["-m", f"dotsim_ros.nodes.{executable}.node"]
+        started = [*(command or [sys.executable, "-u", *program]), "--ros-args", *arguments]
         for name, value in parameters.items():
             started += ["-p", f"{name}:={value}"]
         self._process = subprocess.Popen(
