@@ -226,6 +226,9 @@ class WorkingNode(Node):
             hold = partial(participant.hold, opened.topic_name, number, stamp_of(message), act)
             self._attempt(topic, hold)
 
+        # rclpy's types know no callback that takes the information, too.
+        hear: Any = receive
+
         def adapt(event: Any) -> None:
             nonlocal opened
             if local is not None and local.dds is None:
@@ -238,7 +241,7 @@ class WorkingNode(Node):
                 )
                 self.destroy_subscription(opened)
                 again = {**options, "qos_overriding_options": None}
-                opened = Node.create_subscription(self, msg_type, topic, receive, quality, **again)
+                opened = Node.create_subscription(self, msg_type, topic, hear, quality, **again)
                 if local is not None:
                     local.dds = opened
                 return
@@ -254,7 +257,7 @@ class WorkingNode(Node):
         options["event_callbacks"] = events
         try:
             opened = super().create_subscription(
-                msg_type, topic, receive, quality, **topic_quality.with_check(options)
+                msg_type, topic, hear, quality, **topic_quality.with_check(options)
             )
         except Exception as error:
             raise topic_quality.topic_refusal(self, topic, error) from error

@@ -22,7 +22,7 @@ import numpy as np
 
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.arrays import Float32Array
 from dotsim_ros.live.desk import LiveDesk
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.nodes.common.counters import RateMeter
@@ -51,7 +51,7 @@ class _Seen:
     moment: SensorMoment
     stamp_ns: int
     conversion: DepthConversion
-    rest_depth_m: FloatArray
+    rest_depth_m: Float32Array
 
 
 class SimulatedSubject:

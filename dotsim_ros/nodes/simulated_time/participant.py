@@ -105,7 +105,7 @@ class StepParticipant:
             before = self._sent.get(topic)
             if before is None or before.publisher != sent.publisher:
                 early = [number for _, held, number, _ in self._held if held == topic]
-                self._newest[topic] = max(sent.count, *early, 0)
+                self._newest[topic] = max(sent.total, *early, 0)
             self._sent[topic] = sent
         self._take_step()
 
@@ -125,8 +125,8 @@ class StepParticipant:
         """Return what was sent before the step and has not come, in words; empty for nothing."""
         for topic, sent in self._step.sent.items() if self._step is not None else ():
             newest = self._newest.get(topic, 0)
-            if topic in self._subscriptions and newest < sent.count:
-                return f"message {sent.count} of {topic}, {newest} came last"
+            if topic in self._subscriptions and newest < sent.total:
+                return f"message {sent.total} of {topic}, {newest} came last"
         return ""
 
     def _due(self) -> list[Hear]:
@@ -136,7 +136,7 @@ class StepParticipant:
         for each in self._held:
             _, topic, number, _ = each
             sent = self._sent.get(topic)
-            (due if sent is None or number <= sent.count else early).append(each)
+            (due if sent is None or number <= sent.total else early).append(each)
         self._held = early
         return [each[3] for each in sorted(due, key=lambda each: each[:3])]
 

@@ -43,7 +43,7 @@ class Sent(NamedTuple):
     """How many messages a publisher, the life of a node, has sent on a topic since it began."""
 
     publisher: str
-    count: int
+    total: int
 
 
 class Step(NamedTuple):

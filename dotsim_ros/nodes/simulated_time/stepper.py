@@ -348,8 +348,8 @@ class Stepper:
         topic = self._resolved(question)
         other = self._watches.get(topic)
         if other is not None:
-            return other.sent.count
-        return self._sent[topic].count if topic in self._sent else 0
+            return other.sent.total
+        return self._sent[topic].total if topic in self._sent else 0
 
     def _all_are_present(self) -> bool:
         return self._is_cancelled or all(
