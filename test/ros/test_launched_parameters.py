@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 import rclpy
 import yaml
 from geometry_msgs.msg import PoseStamped
-from harness import Client, running
+from harness import Watcher, running
 from launched import Started, launched, started
 
 import msg_adapters
@@ -143,24 +144,23 @@ def test_the_frames_of_a_driver_of_two_stay_its_own() -> None:
 def test_a_finger_takes_poses_in_its_own_frame() -> None:
     left, _ = started("gripper.launch.py")
     coarse = {"grid_spacing_m": 0.0048, "rate_hz": 10.0}
-    with running(parameters=coarse, arguments=left.arguments):
-        client = Client(topics={})
-        try:
-            states: list[PoseStamped] = []
-            client.node.create_subscription(PoseStamped, "/left/indenter/state", states.append, 5)
-            poses = client.node.create_publisher(PoseStamped, "/left/indenter/pose", 5)
-            client.wait(poses.get_subscription_count, "the finger")
-            above = msg_adapters.encode_pose_stamped(
-                (0.0, 0.0, 0.03),
-                (0.0, 0.0, 0.0, 1.0),
-                stamp_ns=client.now_ns(),
-                frame_id="left_densetact_base",
-            )
-            poses.publish(above)
-            client.wait(lambda: states, "a frame that shows the indenter")
-            assert states[0].header.frame_id == "left_densetact_base"
-        finally:
-            client.close()
+    with (
+        running(parameters=coarse, arguments=left.arguments),
+        closing(Watcher("client", "/left")) as client,
+    ):
+        states: list[PoseStamped] = []
+        client.node.create_subscription(PoseStamped, "indenter/state", states.append, 5)
+        poses = client.node.create_publisher(PoseStamped, "indenter/pose", 5)
+        client.wait(poses.get_subscription_count, "the finger")
+        above = msg_adapters.encode_pose_stamped(
+            (0.0, 0.0, 0.03),
+            (0.0, 0.0, 0.0, 1.0),
+            stamp_ns=client.now_ns(),
+            frame_id="left_densetact_base",
+        )
+        poses.publish(above)
+        client.wait(lambda: states, "a frame that shows the indenter")
+        assert states[0].header.frame_id == "left_densetact_base"
 
 
 SENSOR = "tactile_sim.launch.py"
@@ -199,8 +199,7 @@ def test_a_launched_player_meets_the_face_of_a_pad(write: WriteFile) -> None:
     path = write({"/**": PAD, "/**/indenter_player": own})
     nodes = started(SENSOR, params_file=path, play="true", source="press")
     (player,) = [node for node in nodes if node.executable == "indenter_player"]
-    client = Client(topics={})
-    try:
+    with closing(Watcher("client")) as client:
         poses: list[PoseStamped] = []
         client.node.create_subscription(PoseStamped, "indenter/pose", poses.append, 1000)
         with running(PLAYER, arguments=player.arguments) as process:
@@ -208,8 +207,6 @@ def test_a_launched_player_meets_the_face_of_a_pad(write: WriteFile) -> None:
         assert {pose.header.frame_id for pose in poses} == {"left_pad"}
         lowest_m = min(pose.pose.position.z for pose in poses)
         assert lowest_m == pytest.approx(load_sensor("digit").gel.thickness_m - 0.001)
-    finally:
-        client.close()
 
 
 def test_the_recorder_takes_its_topics_from_the_file(write: WriteFile) -> None:
