@@ -71,14 +71,9 @@ class Subject(Protocol):
         """Bring the indenter to a pose in the base frame, or away, instead of whatever was ordered
         before."""
 
-    def choose_sensor(self, name: str) -> None:
-        """Press another sensor from now on."""
-
-    def choose_indenter(self, name: str) -> None:
-        """Press with another indenter from now on, from rest."""
-
-    def choose_profile(self, name: str) -> None:
-        """Solve the gel in another profile from now on."""
+    def choose(self, what: str, name: str) -> None:
+        """Press another `sensor` from now on, or with another `indenter`, from rest, or solve the
+        gel in another `profile`."""
 
     def reset(self) -> None:
         """Take the indenter away and begin from rest."""
@@ -228,24 +223,17 @@ class LiveDesk:
         self._go_live()
         self._pressed().reset()
 
-    def _sensor(self, order: Mapping[str, Any]) -> None:
+    def _choose(self, order: Mapping[str, Any]) -> None:
         self._go_live()
-        subject = self._pressed()
-        if self._recorder is not None:
-            raise ValueError("a bag has one sensor: save the recording first")
-        subject.choose_sensor(_choice(order, "sensor", subject.sensors))
-
-    def _indenter(self, order: Mapping[str, Any]) -> None:
-        self._go_live()
-        subject = self._pressed()
-        if self._recorder is not None:
-            raise ValueError("a bag has one indenter: save the recording first")
-        subject.choose_indenter(_choice(order, "indenter", subject.indenters))
-
-    def _profile(self, order: Mapping[str, Any]) -> None:
-        self._go_live()
-        subject = self._pressed()
-        subject.choose_profile(_choice(order, "profile", subject.profiles))
+        subject, what, name = self._pressed(), str(order["do"]), order.get("name")
+        if what != "profile" and self._recorder is not None:
+            raise ValueError(f"a bag has one {what}: save the recording first")
+        known: Collection[str] = getattr(subject, f"{what}s")
+        if name not in known:
+            raise ValueError(
+                f"{what} is {value_text(name)}, expected one of {', '.join(known) or 'none'}"
+            )
+        subject.choose(what, str(name))
 
     def _record_order(self, order: Mapping[str, Any]) -> None:
         name = order.get("name")
@@ -304,9 +292,9 @@ class LiveDesk:
         "pose": _pose,
         "away": _away,
         "reset": _reset,
-        "sensor": _sensor,
-        "indenter": _indenter,
-        "profile": _profile,
+        "sensor": _choose,
+        "indenter": _choose,
+        "profile": _choose,
         "record": _record_order,
         "stop": _stop,
         "load": _load,
@@ -452,12 +440,3 @@ def _number(order: Mapping[str, Any]) -> int:
     if not isinstance(given, int) or isinstance(given, bool) or not 0 <= given < 2**53:
         raise ValueError(f"number is {value_text(given)}, expected a whole number")
     return given
-
-
-def _choice(order: Mapping[str, Any], name: str, known: Collection[str]) -> str:
-    given = order.get("name")
-    if given not in known:
-        raise ValueError(
-            f"{name} is {value_text(given)}, expected one of {', '.join(known) or 'none'}"
-        )
-    return str(given)

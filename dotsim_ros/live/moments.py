@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,13 +64,6 @@ class SkinMoment:
     rate_hz: float | None = None
     is_converged: bool = True
     is_behind: bool = False
-
-
-def rate_hz_of(frame_times_s: Sequence[float]) -> float | None:
-    """Return the rate of frames at increasing times (N,); None for fewer than two."""
-    if len(frame_times_s) < 2:
-        return None
-    return (len(frame_times_s) - 1) / max(frame_times_s[-1] - frame_times_s[0], 1e-6)
 
 
 @dataclass(frozen=True)

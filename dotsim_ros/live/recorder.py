@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import cv2
 import numpy as np
@@ -56,38 +57,30 @@ class PressRecorder:
         Raises:
             OSError: it does not fit on the disk.
         """
-        stamp_ns = moment.stamp_ns
+        in_base: dict[str, Any] = {
+            "stamp_ns": moment.stamp_ns,
+            "frame_id": BASE_FRAME,
+            "types": BAG_TYPES,
+        }
         messages = {
             "/points": msg_adapters.encode_cloud(
-                moment.skin_m,
-                displacement_m=moment.skin_m - self._rest_m,
-                stamp_ns=stamp_ns,
-                frame_id=BASE_FRAME,
-                types=BAG_TYPES,
+                moment.skin_m, displacement_m=moment.skin_m - self._rest_m, **in_base
             )
         }
         if moment.force_n is not None:
             messages["/wrench"] = msg_adapters.encode_wrench_stamped(
-                moment.force_n,
-                moment.torque_nm,
-                stamp_ns=stamp_ns,
-                frame_id=BASE_FRAME,
-                types=BAG_TYPES,
+                moment.force_n, moment.torque_nm, **in_base
             )
         if moment.pose is not None:
             # The page knows the pose that the skin shows: of a recording, that is both.
             messages["/indenter/pose"] = messages["/indenter/state"] = (
                 msg_adapters.encode_pose_stamped(
-                    moment.pose.position_m,
-                    moment.pose.quaternion_xyzw,
-                    stamp_ns=stamp_ns,
-                    frame_id=BASE_FRAME,
-                    types=BAG_TYPES,
+                    moment.pose.position_m, moment.pose.quaternion_xyzw, **in_base
                 )
             )
         if self._indenter_name and not self.frame_count:
             messages[NAME_TOPIC] = BAG_TYPES.make(NAME_TYPE, data=self._indenter_name)
-        self._write(stamp_ns, messages, frame_count=1)
+        self._write(moment.stamp_ns, messages, frame_count=1)
 
     def add_picture(self, picture: Picture) -> None:
         """Write what the camera sees; nothing after `finish`.
@@ -95,14 +88,15 @@ class PressRecorder:
         Raises:
             OSError: it does not fit on the disk.
         """
+        optical: dict[str, Any] = {
+            "stamp_ns": picture.stamp_ns,
+            "frame_id": OPTICAL_FRAME,
+            "types": BAG_TYPES,
+        }
         messages = {}
         if picture.image is not None:
             messages["/image_raw/compressed"] = msg_adapters.encode_compressed_image(
-                picture.image,
-                compression="jpeg",
-                stamp_ns=picture.stamp_ns,
-                frame_id=OPTICAL_FRAME,
-                types=BAG_TYPES,
+                picture.image, compression="jpeg", **optical
             )
         if picture.depth_m is not None:
             height, width = picture.depth_m.shape
@@ -113,11 +107,7 @@ class PressRecorder:
                 interpolation=cv2.INTER_NEAREST,
             )
             messages["/depth/image"] = msg_adapters.encode_image(
-                depth_m,
-                encoding="32FC1",
-                stamp_ns=picture.stamp_ns,
-                frame_id=OPTICAL_FRAME,
-                types=BAG_TYPES,
+                depth_m, encoding="32FC1", **optical
             )
         self._write(picture.stamp_ns, messages)
 

@@ -34,7 +34,6 @@ from dotsim_ros.data.bag import BagReader
 from dotsim_ros.data.trajectory import Topics, read_trajectory
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.live.desk import LiveDesk
-from dotsim_ros.live.moments import rate_hz_of
 from dotsim_ros.live.server import PageServer
 from dotsim_ros.nodes.live_page.simulated import SimulatedSubject
 from dotsim_ros.specification import SensorSpecification
@@ -221,11 +220,6 @@ def test_another_sensor_is_pressed_in_the_same_process(client: Client) -> None:
         assert apex_m == pytest.approx(load_sensor(name).gel.bounds_m[1][2], abs=1e-5)
         client.press(APEX_M - apex_m + 0.0005, number)
         assert client.newest["skin"]["force_n"][2] > 0.01
-
-
-def test_a_rate_takes_two_frames() -> None:
-    assert rate_hz_of([3.0]) is None
-    assert rate_hz_of([3.0, 3.1, 3.2]) == pytest.approx(10.0)
 
 
 def test_an_order_at_the_very_first_moment_is_followed(tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
+from harness import Watcher
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from watcher import Watcher
 
 import msg_adapters
 
@@ -97,10 +97,6 @@ class ArmClient(Watcher):
             lambda: list(self.positions(since_s, sent_after_ns=since_ns)[1]), "a pose of now"
         )
         return found[-1]
-
-    def now_ns(self) -> int:
-        """Return the time that messages are stamped with."""
-        return self.node.get_clock().now().nanoseconds
 
     def positions(
         self, since_s: float = -np.inf, *, sent_after_ns: float = 0, sent_before_ns: float = np.inf

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, closing
 
-import rclpy
+from harness import Watcher
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
@@ -19,46 +18,42 @@ import msg_adapters
 PERIOD_S = 0.005
 
 
-class FreeClock:
+class FreeClock(Watcher):
     """Publishes simulated time.
 
     Args:
         speed: simulated seconds for each real one.
-        start_s: where it begins.
 
     Attributes:
-        is_standing: whether it tells the same time again and again.
+        is_standing: whether it publishes the same time again and again.
     """
 
-    def __init__(self, *, speed: float, start_s: float = 100.0) -> None:
+    def __init__(self, speed: float) -> None:
+        super().__init__("free_clock")
         self.is_standing = False
-        self._now_ns = round(1e9 * start_s)
+        self._now_ns = 100 * 10**9
         self._step_ns = round(1e9 * PERIOD_S * speed)
         self._leap_ns = 0
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self.node = rclpy.create_node("free_clock", context=self._context)
         self._publisher = self.node.create_publisher(
             Clock, "/clock", QoSProfile(history=HistoryPolicy.KEEP_ALL)
         )
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        self._ticks = threading.Thread(target=self._run, daemon=True)
+        self._ticks.start()
 
     def now_ns(self) -> int:
-        """Return the time that was last told."""
+        """Return the time that was published last."""
         return self._now_ns
 
     def jump(self, seconds: float) -> None:
-        """Go on from another time; it is told next."""
+        """Go on from another time; it is published next."""
         self._leap_ns = round(1e9 * seconds)
 
     def close(self) -> None:
         """Leave the graph."""
         self._stop.set()
-        self._thread.join()
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
+        self._ticks.join()
+        super().close()
 
     def _run(self) -> None:
         due_s = time.monotonic()
@@ -71,11 +66,6 @@ class FreeClock:
             self._publisher.publish(Clock(clock=msg_adapters.encode_stamp(self._now_ns)))
 
 
-@contextmanager
-def free_clock(*, speed: float) -> Iterator[FreeClock]:
+def free_clock(*, speed: float) -> AbstractContextManager[FreeClock]:
     """Let time run in the block."""
-    clock = FreeClock(speed=speed)
-    try:
-        yield clock
-    finally:
-        clock.close()
+    return closing(FreeClock(speed))

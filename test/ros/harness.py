@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,12 @@ from forked import Forked
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
+from rclpy.client import Client as RosClient
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import HistoryPolicy, QoSProfile
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 import msg_adapters
 
@@ -316,30 +317,24 @@ def _content(message: Any) -> list[Any]:
     return [value.tobytes() if hasattr(value, "tobytes") else value for value in values]
 
 
-class Client:
-    """A user's program: publishes poses, reads every topic of the frames, calls services.
+class Watcher:
+    """A program next to the nodes, with a ROS context of its own.
 
     Args:
-        is_deaf: subscribe to everything and never read any of it.
-        topics: what of the frames to read.
+        name, namespace: of its node.
+        is_deaf: never read what it subscribes to.
+
+    Attributes:
+        diagnostics: the newest state of each part of each node, by name.
     """
 
-    def __init__(self, *, is_deaf: bool = False, topics: Mapping[str, type] = FRAME_TOPICS) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self.node = rclpy.create_node("client", context=self._context)
-        self.frames: dict[int, TactileFrame] = {}
-        self.compressed: list[CompressedImage] = []
+    def __init__(self, name: str, namespace: str = "", *, is_deaf: bool = False) -> None:
         self.diagnostics: dict[str, msg_adapters.Status] = {}
         self._diagnosed_ns: dict[str, int] = {}
-        self._changed = threading.Condition()
-        self._poses = self.node.create_publisher(
-            PoseStamped, "indenter/pose", QoSProfile(history=HistoryPolicy.KEEP_ALL)
-        )
-        # The state first: of what is ready together, what was subscribed first is taken first, so
-        # that a whole frame has its state.
-        for topic, kind in {STATE_TOPIC: PoseStamped, **topics}.items():
-            self.node.create_subscription(kind, topic, self._collector(topic), 50)
+        self._clients: dict[str, RosClient] = {}
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node(name, context=self._context, namespace=namespace)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._thread = None if is_deaf else spin_in_background(self.node)
 
@@ -350,10 +345,78 @@ class Client:
             self._thread.join(10.0)
         self.node.destroy_node()
 
+    def now_ns(self) -> int:
+        """Return the time that messages are stamped with."""
+        return self.node.get_clock().now().nanoseconds
+
     def wait(
         self, is_reached: Callable[[], Any], what: str, *, patience_s: float = PATIENCE_S
     ) -> Any:
-        """Wait until something holds; looks again at each message, and each 50 ms."""
+        """Wait until something holds."""
+        end_s = time.monotonic() + patience_s
+        while not (reached := is_reached()):
+            assert time.monotonic() < end_s, f"waited {patience_s} s for {what}; {self.diagnostics}"
+            time.sleep(0.01)
+        return reached
+
+    def call(self, kind: type, name: str, *, patience_s: float = PATIENCE_S, **fields: Any) -> Any:
+        """Call a service and return its response."""
+        # Kept, so that a call that is timed does not wait for the graph.
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+        assert self._clients[name].wait_for_service(PATIENCE_S), name
+        future = self._clients[name].call_async(kind.Request(**fields))  # type: ignore[attr-defined]
+        self.wait(future.done, f"an answer of {name}", patience_s=patience_s)
+        return future.result()
+
+    def heard_late(self, kind: type, topic: str) -> Any:
+        """Return what a reader gets that comes after the message was sent."""
+        heard: list[Any] = []
+        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        reader = self.node.create_subscription(kind, topic, heard.append, latched)
+        self.wait(lambda: heard, topic)
+        self.node.destroy_subscription(reader)
+        return heard[-1]
+
+    def set_parameters_of(self, node: str, **values: Any) -> Any:
+        """Set parameters of a node together; return the result with its reason."""
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        return self.call(
+            SetParametersAtomically,
+            f"{node}/set_parameters_atomically",
+            parameters=[parameter.to_parameter_msg() for parameter in parameters],
+        ).result
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in msg_adapters.decode_diagnostics(message):
+            self.diagnostics[status.name] = status
+            self._diagnosed_ns[status.name] = msg_adapters.message_stamp_ns(message)
+
+
+class Client(Watcher):
+    """A user's program: publishes poses, reads every topic of the frames, calls services.
+
+    Args:
+        is_deaf: subscribe to everything and never read any of it.
+        topics: what of the frames to read.
+    """
+
+    def __init__(self, *, is_deaf: bool = False, topics: Mapping[str, type] = FRAME_TOPICS) -> None:
+        self.frames: dict[int, TactileFrame] = {}
+        self._changed = threading.Condition()
+        super().__init__("client", is_deaf=is_deaf)
+        self._poses = self.node.create_publisher(
+            PoseStamped, "indenter/pose", QoSProfile(history=HistoryPolicy.KEEP_ALL)
+        )
+        # The state first: of what is ready together, what was subscribed first is taken first, so
+        # that a whole frame has its state.
+        for topic, kind in {STATE_TOPIC: PoseStamped, **topics}.items():
+            self.node.create_subscription(kind, topic, self._collector(topic), 50)
+
+    def wait(
+        self, is_reached: Callable[[], Any], what: str, *, patience_s: float = PATIENCE_S
+    ) -> Any:
+        """Wait until something holds; looks again at each frame, and each 50 ms."""
         end_s = time.monotonic() + patience_s
         with self._changed:
             while not (reached := is_reached()):
@@ -372,10 +435,6 @@ class Client:
         )
         # What the publishers know of their readers comes on its own way.
         self.wait(lambda: bool(self.diagnostics), "diagnostics")
-
-    def now_ns(self) -> int:
-        """Return the time that messages are stamped with."""
-        return self.node.get_clock().now().nanoseconds
 
     def send(
         self,
@@ -439,23 +498,9 @@ class Client:
             f"a state of {part}",
         )
 
-    def call(self, kind: type, name: str, *, patience_s: float = PATIENCE_S, **fields: Any) -> Any:
-        """Call a service and return its response."""
-        client = self.node.create_client(kind, name)
-        assert client.wait_for_service(PATIENCE_S), name
-        future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
-        self.wait(future.done, f"an answer of {name}", patience_s=patience_s)
-        self.node.destroy_client(client)
-        return future.result()
-
     def set_parameters(self, **values: Any) -> Any:
         """Set parameters of the sensor together; return the result with its reason."""
-        parameters = [Parameter(name, value=value) for name, value in values.items()]
-        return self.call(
-            SetParametersAtomically,
-            "/tactile_sim/set_parameters_atomically",
-            parameters=[parameter.to_parameter_msg() for parameter in parameters],
-        ).result
+        return self.set_parameters_of("/tactile_sim", **values)
 
     def _collector(self, topic: str) -> Callable[[Any], None]:
         def collect(message: Any) -> None:
@@ -468,13 +513,6 @@ class Client:
                 self._changed.notify_all()
 
         return collect
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        with self._changed:
-            for status in msg_adapters.decode_diagnostics(message):
-                self.diagnostics[status.name] = status
-                self._diagnosed_ns[status.name] = msg_adapters.message_stamp_ns(message)
-            self._changed.notify_all()
 
 
 class LockstepPress:
@@ -514,10 +552,6 @@ class LockstepPress:
 @contextmanager
 def sensor(**parameters: Any) -> Iterator[tuple[Executable, Client]]:
     """Run a fresh tactile_sim and a client that has met it."""
-    with running(parameters=parameters) as executable:
-        client = Client()
-        try:
-            client.meet()
-            yield executable, client
-        finally:
-            client.close()
+    with running(parameters=parameters) as executable, closing(Client()) as client:
+        client.meet()
+        yield executable, client

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable
+from copy import deepcopy
 from typing import Any
 
 import psutil
-import rclpy
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from harness import Executable, spin_in_background
+from harness import Executable, Watcher
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import (
     DescribeParameters,
@@ -23,6 +22,8 @@ from rcl_interfaces.srv import (
 )
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+
+import msg_adapters
 
 ANSWER_S = 20.0
 """The longest that a node may take to answer, on a busy machine."""
@@ -75,94 +76,67 @@ WHOLE_NUMBERS = (2**63 - 1, -(2**63), -2, 1_000_000)
 
 def hostile_values() -> list[ParameterValue]:
     """Return values of every type that no parameter of ours takes."""
-    values = [ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=t) for t in TEXTS]
-    values += [
-        ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=number)
-        for number in NUMBERS
+    kinds = ParameterType
+    values: dict[int, tuple[str, Iterable[Any]]] = {
+        kinds.PARAMETER_STRING: ("string_value", TEXTS),
+        kinds.PARAMETER_DOUBLE: ("double_value", NUMBERS),
+        kinds.PARAMETER_INTEGER: ("integer_value", WHOLE_NUMBERS),
+        kinds.PARAMETER_DOUBLE_ARRAY: (
+            "double_array_value",
+            ([], [1e308] * 3, [math.nan] * 4, [math.nan] * 7, [0.5], [0.1] * 20_000),
+        ),
+        kinds.PARAMETER_INTEGER_ARRAY: (
+            "integer_array_value",
+            ([], [-1, -1], [16384, 16384], [1, 0], [2**62] * 4, [5, 5, 5, 0], [7] * 20_000),
+        ),
+        kinds.PARAMETER_STRING_ARRAY: ("string_array_value", ([], [""], ["bad name=x"], [LONG])),
+        kinds.PARAMETER_BYTE_ARRAY: ("byte_array_value", ([b"\xff"],)),
+        kinds.PARAMETER_BOOL_ARRAY: ("bool_array_value", ([True],)),
+    }
+    found = [
+        ParameterValue(type=kind, **{field: value})
+        for kind, (field, given) in values.items()
+        for value in given
     ]
-    values += [
-        ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=number)
-        for number in WHOLE_NUMBERS
-    ]
-    for numbers in ([], [1e308] * 3, [math.nan] * 4, [math.nan] * 7, [0.5], [0.1] * 20_000):
-        values.append(
-            ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=numbers)
-        )
-    for whole in ([], [-1, -1], [16384, 16384], [1, 0], [2**62] * 4, [5, 5, 5, 0], [7] * 20_000):
-        values.append(
-            ParameterValue(type=ParameterType.PARAMETER_INTEGER_ARRAY, integer_array_value=whole)
-        )
-    for texts in ([], [""], ["bad name=x"], [LONG]):
-        values.append(
-            ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=texts)
-        )
-    values.append(
-        ParameterValue(type=ParameterType.PARAMETER_BYTE_ARRAY, byte_array_value=[b"\xff"])
-    )
-    values.append(ParameterValue(type=ParameterType.PARAMETER_BOOL_ARRAY, bool_array_value=[True]))
-    values.append(ParameterValue(type=ParameterType.PARAMETER_NOT_SET))
-    # A type that ROS does not know.
-    values.append(ParameterValue(type=99))
-    return values
+    # No value, and a type that ROS does not know.
+    return [*found, ParameterValue(type=kinds.PARAMETER_NOT_SET), ParameterValue(type=99)]
 
 
-class Attacker:
+class Attacker(Watcher):
     """A program that sends a node what it must refuse, and asks it whether it is well.
 
     Args:
-        namespace: of the node.
-        name: of the node.
+        namespace, name: of the node.
         process: its number.
     """
 
     def __init__(self, namespace: str, name: str, process: int) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self.node = rclpy.create_node("attacker", context=self._context, namespace=namespace)
+        super().__init__("attacker", namespace)
         self._name = name
         self._process = psutil.Process(process)
-        self._thread = spin_in_background(self.node)
-        self._clients: dict[str, Any] = {}
 
-    def close(self) -> None:
-        """Leave the graph."""
-        rclpy.try_shutdown(context=self._context)
-        self._thread.join(10.0)
-        self.node.destroy_node()
-
-    def call(self, kind: type, service: str, request: Any) -> Any:
+    def ask(self, kind: type, service: str, **fields: Any) -> Any:
         """Call a service of the node and return its response, which must come in time."""
-        if service not in self._clients:
-            self._clients[service] = self.node.create_client(kind, f"{self._name}/{service}")
-            assert self._clients[service].wait_for_service(60.0), service
-        future = self._clients[service].call_async(request)
-        end_s = time.monotonic() + ANSWER_S
-        while not future.done():
-            assert time.monotonic() < end_s, f"{self._name} does not answer {service}"
-            time.sleep(0.002)
-        return future.result()
+        return self.call(kind, f"{self._name}/{service}", patience_s=ANSWER_S, **fields)
 
     def names(self) -> list[str]:
         """Return the names of the node's parameters."""
-        found = self.call(ListParameters, "list_parameters", ListParameters.Request())
-        return list(found.result.names)
+        return list(self.ask(ListParameters, "list_parameters").result.names)
 
     def value(self, name: str) -> ParameterValue:
         """Return the value of a parameter; that of no type where there is none of the name."""
-        request = GetParameters.Request(names=[name])
-        found = self.call(GetParameters, "get_parameters", request).values
+        found = self.ask(GetParameters, "get_parameters", names=[name]).values
         return found[0] if found else ParameterValue()
 
     def set(self, name: str, values: list[ParameterValue]) -> list[Any]:
         """Try to set a parameter to one value after the other; return the results."""
         parameters = [Parameter(name=name, value=value) for value in values]
-        request = SetParameters.Request(parameters=parameters)
-        return list(self.call(SetParameters, "set_parameters", request).results)
+        return list(self.ask(SetParameters, "set_parameters", parameters=parameters).results)
 
     def is_well(self) -> bool:
         """Ask something harmless."""
-        request = DescribeParameters.Request(names=["use_sim_time"])
-        return bool(self.call(DescribeParameters, "describe_parameters", request).descriptors)
+        found = self.ask(DescribeParameters, "describe_parameters", names=["use_sim_time"])
+        return bool(found.descriptors)
 
     def memory_bytes(self) -> int:
         """Return what the node holds in memory."""
@@ -171,10 +145,7 @@ class Attacker:
     def send(self, kind: type, topic: str, messages: list[Any], *, readers: int = 1) -> None:
         """Publish messages once all readers listen, and wait until the node has had them all."""
         publisher = self.node.create_publisher(kind, topic, 100)
-        end_s = time.monotonic() + ANSWER_S
-        while publisher.get_subscription_count() < readers:
-            assert time.monotonic() < end_s, f"nobody listens to {topic}"
-            time.sleep(0.01)
+        self.wait(lambda: publisher.get_subscription_count() >= readers, f"readers of {topic}")
         for message in messages:
             publisher.publish(message)
             # Where only the newest is kept, each must be heard.
@@ -243,61 +214,35 @@ def headers(frame_id: str) -> list[Header]:
 EXTREMES = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e12)
 
 
-def _vectors(message: Any, path: str) -> Iterator[Any]:
-    """Yield copies of a message with one vector spoilt in each way."""
-    for extreme in EXTREMES:
-        made = message()
-        vector = made
-        for name in path.split("."):
-            vector = getattr(vector, name)
-        vector.x = vector.y = vector.z = extreme
-        yield made
-
-
-def poses(frame_id: str, *, stamp: Callable[[], Header]) -> list[PoseStamped]:
-    """Return poses that none is; `stamp` gives a header that would do."""
-
-    def good() -> PoseStamped:
-        message = PoseStamped(header=stamp())
-        message.pose.orientation.w = 1.0
-        return message
-
-    found = [*_vectors(good, "pose.position"), *_vectors(good, "pose.orientation")]
-    found.append(PoseStamped(header=stamp()))
-    found[-1].pose.orientation.w = 0.0
-    for wrong in headers(frame_id):
-        found.append(good())
+def spoilt(good: Any) -> list[Any]:
+    """Return copies of a stamped message, each later than the one before: one of the vectors is
+    spoilt, or is zero; then copies whose header is wrong."""
+    found = []
+    for value in (*EXTREMES, 0.0):
+        for number in range(len(_vectors(good))):
+            found.append(deepcopy(good))
+            stamp_ns = msg_adapters.message_stamp_ns(good) + len(found)
+            found[-1].header.stamp = msg_adapters.encode_stamp(stamp_ns)
+            vector = _vectors(found[-1])[number]
+            for name in vector.get_fields_and_field_types():
+                setattr(vector, name, value)
+    for wrong in headers(good.header.frame_id):
+        found.append(deepcopy(good))
         found[-1].header = wrong
-        found[-1].pose.position.x = 10.0
     return found
 
 
-def twists(frame_id: str) -> list[TwistStamped]:
-    """Return velocities that none is."""
-
-    def good() -> TwistStamped:
-        return TwistStamped(header=header(frame_id))
-
-    found = [*_vectors(good, "twist.linear"), *_vectors(good, "twist.angular")]
-    found += [TwistStamped(header=wrong) for wrong in headers(frame_id)]
-    return found
+def _vectors(message: Any) -> list[Any]:
+    """Return the parts of a message that hold nothing but numbers."""
+    kinds = message.get_fields_and_field_types()
+    if set(kinds.values()) == {"double"}:
+        return [message]
+    parts = (getattr(message, name) for name, kind in kinds.items() if "geometry_msgs" in kind)
+    return [vector for part in parts for vector in _vectors(part)]
 
 
-def wrenches(frame_id: str) -> list[WrenchStamped]:
-    """Return wrenches that none is, or whose times make no sense."""
-
-    def good() -> WrenchStamped:
-        return WrenchStamped(header=header(frame_id))
-
-    found = [*_vectors(good, "wrench.force"), *_vectors(good, "wrench.torque")]
-    for wrong in headers(frame_id):
-        found.append(WrenchStamped(header=wrong))
-        found[-1].wrench.force.z = 100.0
-    return found
-
-
-def images(*, stamp: Callable[[], Header]) -> list[Image]:
-    """Return images that none is."""
+def images() -> list[Image]:
+    """Return images of now that none is."""
     pixels = bytes(120 * 160 * 3)
     shapes = [
         ("rgb8", 0, 0, 0, b""),
@@ -310,10 +255,10 @@ def images(*, stamp: Callable[[], Header]) -> list[Image]:
         ("mono8", 1, 1, 1, b"x"),
         ("bgr8", 1, 57_600, 3 * 57_600, pixels + pixels + pixels),
     ]
-    return [
-        Image(header=stamp(), encoding=e, height=h, width=w, step=s, data=data)
-        for e, h, w, s, data in shapes
-    ]
+    found = [Image(encoding=e, height=h, width=w, step=s, data=d) for e, h, w, s, d in shapes]
+    for number, image in enumerate(found):
+        image.header.stamp = msg_adapters.encode_stamp(time.time_ns() + number)
+    return found
 
 
 def lines_of(executable: Executable, text: str) -> list[str]:

@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from harness import Executable, running
+from harness import Executable, Watcher, running
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
-from watcher import Watcher
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped
-from harness import Executable
+from harness import Executable, Watcher
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
-from watcher import Watcher
 
 import msg_adapters
 from dotsim_ros.nodes.simulated_time.participants import read_participants
@@ -32,53 +32,6 @@ WORKER = """
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
-import msg_adapters
-from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.node import WorkingNode
-from dotsim_ros.nodes.common.spin import run_node
-
-
-class Worker(WorkingNode):
-    def __init__(self):
-        super().__init__("worker")
-        self.replies = self.count = self.beats = 0
-        self.pace = FramePace(rate_hz=50.0, start_s=self.now_s())
-        self.ticks = self.create_publisher(PoseStamped, "ticks", 5)
-        self.create_subscription(Empty, "replies", self.on_reply, 5)
-        self.create_subscription(TwistStamped, "beats", self.on_beat, 5)
-        self.create_service(Trigger, "~/reset", self.on_reset)
-
-    def begin(self):
-        self.start_paced("ticks", lambda: self.pace, self.tick, "ticking failed")
-        self.get_logger().info("ready: worker")
-
-    def on_reply(self, message):
-        self.replies += 1
-
-    def on_beat(self, message):
-        self.beats += 1
-
-    def on_reset(self, request, response):
-        self.replies = self.count = self.beats = 0
-        response.success = True
-        return response
-
-    def tick(self):
-        self.count += 1
-        place = (float(self.count), float(self.replies), float(self.beats))
-        self.ticks.publish(
-            msg_adapters.encode_pose_stamped(
-                place, (0.0, 0.0, 0.0, 1.0), stamp_ns=self.time_ns(), frame_id="base"
-            )
-        )
-
-
-raise SystemExit(run_node(Worker))
-"""
-"""Publishes every 20 ms how many ticks it has sent, and how many replies and beats it has heard."""
-
-MANAGED_WORKER = """
-from geometry_msgs.msg import PoseStamped
 import msg_adapters
 from dotsim_ros.nodes.common.life_cycle import LifeCycle
 from dotsim_ros.nodes.common.node import WorkingNode
@@ -94,10 +47,14 @@ class Worker(WorkingNode):
 
     def begin(self):
         self.life_cycle.begin()
+        self.get_logger().info("ready: worker")
 
     def configure(self):
-        self.count = 0
+        self.counts = [0, 0, 0]
         self.ticks = self.create_publisher(PoseStamped, "ticks", 5)
+        self.create_subscription(Empty, "replies", lambda message: self.count(1), 5)
+        self.create_subscription(TwistStamped, "beats", lambda message: self.count(2), 5)
+        self.create_service(Trigger, "~/reset", self.on_reset)
 
     def activate(self):
         pace = FramePace(rate_hz=50.0, start_s=self.now_s())
@@ -109,21 +66,27 @@ class Worker(WorkingNode):
     def clean_up(self):
         self.ticks = None
 
+    def count(self, what):
+        self.counts[what] += 1
+
+    def on_reset(self, request, response):
+        self.counts = [0, 0, 0]
+        response.success = True
+        return response
+
     def tick(self):
-        self.count += 1
+        self.count(0)
         self.ticks.publish(
             msg_adapters.encode_pose_stamped(
-                (float(self.count), 0.0, 0.0),
-                (0.0, 0.0, 0.0, 1.0),
-                stamp_ns=self.time_ns(),
-                frame_id="base",
+                self.counts, (0.0, 0.0, 0.0, 1.0), stamp_ns=self.time_ns(), frame_id="base"
             )
         )
 
 
 raise SystemExit(run_node(Worker))
 """
-"""The same as a managed node, which hears nothing."""
+"""A managed node that publishes every 20 ms how many ticks it has sent, and how many replies and
+beats it has heard."""
 
 CONTROLLER = """
 import time
@@ -221,20 +184,18 @@ class Session(Watcher):
         return stepper
 
     @contextmanager
-    def stepping(self, participants: str = WORKER_ENTRY, **settings: float) -> Iterator[Stepper]:
+    def stepping(self, participants: str = WORKER_ENTRY) -> Iterator[Stepper]:
         """Step participants from here: a stepper without a node of its own to start."""
         path = self._folder / f"participants_{next(_numbers)}.yaml"
         path.write_text(f"participants:\n{participants}")
-        watcher = Watcher("time_stepper", self.namespace)
-        try:
-            yield Stepper(watcher.node, read_participants(path), StepperSettings(**settings))
-        finally:
-            watcher.close()
+        with closing(Watcher("time_stepper", self.namespace)) as watcher:
+            yield Stepper(watcher.node, read_participants(path), StepperSettings())
 
-    def reason(self, stepper: Stepper, seconds: float = 60.0) -> str:
+    def reason(self, stepper: Stepper, *, patience_s: float = 120.0) -> str:
         """Step until that fails; return why, as in no namespace."""
+        stepper.settings = replace(stepper.settings, patience_s=patience_s)
         with pytest.raises(SteppingError) as caught:
-            stepper.advance(seconds)
+            stepper.advance(60.0)
         return str(caught.value).replace(f"{self.namespace[1:]}/", "")
 
     def hindrance(self, stepper: Stepper, text: str) -> str:
@@ -262,16 +223,6 @@ class Session(Watcher):
         assert "Traceback" not in executable.log
         return line.partition("]: ")[2].replace(f"{self.namespace[1:]}/", "")
 
-    def wait_for_hindrance(self, text: str) -> str:
-        """Wait until time cannot begin for a reason; return it, as in no namespace."""
-
-        def found() -> str:
-            plain = self.time.values["waiting_for"] if self.time else ""
-            plain = plain.replace(f"{self.namespace[1:]}/", "")
-            return plain if text in plain else ""
-
-        return self.wait(found, text)
-
     def _run(self, executable: Executable) -> Executable:
         self._stack.callback(executable.end)
         return executable
@@ -280,10 +231,17 @@ class Session(Watcher):
         """Wait until the simulated time has come so far."""
         self.wait(lambda: self.clock_ns and self.clock_ns[-1] >= 1e9 * time_s, f"{time_s} s")
 
-    def wait_for_state(self, state: str) -> msg_adapters.Status:
-        """Wait until the stepper reports a state."""
+    def wait_for_state(
+        self, state: str, is_wanted: Callable[[msg_adapters.Status], bool] = lambda _: True
+    ) -> msg_adapters.Status:
+        """Wait until the stepper reports a state that is wanted."""
         return self.wait(
-            lambda: (found := self.time) and found.values["state"] == state and found,
+            lambda: (
+                (found := self.time)
+                and found.values["state"] == state
+                and is_wanted(found)
+                and found
+            ),
             f"the state {state}",
         )
 

@@ -179,9 +179,9 @@ def test_an_image_that_would_unpack_to_gigabytes_is_not_fresh(answered: Any) -> 
 
 @pytest.fixture
 def motion() -> tuple[Desk, MotionInput, FaultLog, list[Any]]:
-    desk, faults, motions = Desk(), FaultLog(), []
-    inputs = MotionInput(desk, TactileSimParameters(), faults=faults, on_motion=motions.append)
-    return desk, inputs, faults, motions
+    desk, motions = Desk(), []
+    inputs = MotionInput(desk, TactileSimParameters(), on_motion=motions.append)
+    return desk, inputs, inputs.faults, motions
 
 
 def velocity(linear_m_s: float, *, frame: str = "densetact_base") -> TwistStamped:
@@ -236,9 +236,9 @@ def test_a_velocity_beyond_all_is_refused_and_the_one_before_stays(
 
 @pytest.mark.parametrize("topic", ["indenter/pose", "indenter/wrench"])
 def test_messages_of_stamp_zero_are_all_taken_while_a_clock_stands(topic: str) -> None:
-    desk, faults, motions = Desk(), FaultLog(), []
+    desk, motions = Desk(), []
     parameters = from_values(TactileSimParameters, {"control": "force"})
-    MotionInput(desk, parameters, faults=faults, on_motion=motions.append)
+    faults = MotionInput(desk, parameters, on_motion=motions.append).faults
     for index in range(5):
         force = WrenchStamped()
         force.header.frame_id = "indenter"
@@ -256,7 +256,7 @@ def test_messages_of_stamp_zero_are_all_taken_while_a_clock_stands(topic: str) -
 
 
 def test_the_time_of_a_velocity_counts_once_whatever_becomes_of_the_motion() -> None:
-    desk, faults, heights_mm = Desk(), FaultLog(), []
+    desk, heights_mm = Desk(), []
 
     def press(order: Any) -> None:
         heights_mm.append(1e3 * order.pose.position_m[2])
@@ -264,7 +264,7 @@ def test_the_time_of_a_velocity_counts_once_whatever_becomes_of_the_motion() -> 
             raise RefusedInputError(Fault.GEL, "too deep")
 
     parameters = from_values(TactileSimParameters, {"clock": "lockstep", "input": "twist"})
-    MotionInput(desk, parameters, faults=faults, on_motion=press)
+    faults = MotionInput(desk, parameters, on_motion=press).faults
 
     def hear(linear_m_s: float, stamp_ms: int) -> None:
         message = velocity(linear_m_s)

@@ -8,10 +8,11 @@ studies/speed/drop_in.py holds the programs, and says what they find wrong.
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-from harness import Client, running
+from harness import Watcher, running
 from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 
@@ -72,47 +73,46 @@ def test_what_belongs_to_an_image_goes_along_with_its_remap_and_a_rival_is_told_
         "diagnostics_period_s": 0.1,
         "camera_info_url": f"file://{kept}",
     }
-    with running(parameters=prefixed, arguments=["-r", "__ns:=/left", *remaps]) as node:
-        client = Client(topics={})
-        try:
-            states = client.diagnostics
-            name = "left/tactile_sim: frames"
-            client.wait(lambda: name in states, "the sensor's diagnostics")
-            assert states[name].hardware_id == "left/densetact2"
-            topics = dict(client.node.get_topic_names_and_types())
-            expected = {"/RunCamera/image_raw_1", "/RunCamera/image_raw_1/compressed", "/mine/info"}
-            assert expected <= set(topics)
-            assert not {"/left/camera_info", "/RunCamera/camera_info"} & set(topics)
+    with (
+        running(parameters=prefixed, arguments=["-r", "__ns:=/left", *remaps]) as node,
+        closing(Watcher("client")) as client,
+    ):
+        states = client.diagnostics
+        name = "left/tactile_sim: frames"
+        client.wait(lambda: name in states, "the sensor's diagnostics")
+        assert states[name].hardware_id == "left/densetact2"
+        topics = dict(client.node.get_topic_names_and_types())
+        expected = {"/RunCamera/image_raw_1", "/RunCamera/image_raw_1/compressed", "/mine/info"}
+        assert expected <= set(topics)
+        assert not {"/left/camera_info", "/RunCamera/camera_info"} & set(topics)
 
-            images: list[Image] = []
-            client.node.create_subscription(Image, "/RunCamera/image_raw_1", images.append, 5)
-            client.wait(lambda: images, "an image")
-            assert images[-1].header.frame_id == "left_densetact_optical_frame"
+        images: list[Image] = []
+        client.node.create_subscription(Image, "/RunCamera/image_raw_1", images.append, 5)
+        client.wait(lambda: images, "an image")
+        assert images[-1].header.frame_id == "left_densetact_optical_frame"
 
-            rival = client.node.create_publisher(Image, "/RunCamera/image_raw_1", 5)
-            crowd = "/RunCamera/image_raw_1 has 2 publishers (/client, /left/tactile_sim)"
-            client.wait(lambda: states[name].message.startswith(crowd), "a warning")
-            assert states[name].level is msg_adapters.Level.WARN
-            assert "give each a namespace" in states[name].message
-            client.node.destroy_publisher(rival)
-            client.wait(lambda: "publishers" not in states[name].message, "its end")
-            infos: list[CameraInfo] = []
-            client.node.create_subscription(CameraInfo, "/mine/info", infos.append, 5)
-            client.wait(lambda: infos, "intrinsics")
-            given = infos[-1]
-            given.k[0], given.distortion_model = 123.0, "plumb_bob"
-            service = "/left/set_camera_info"
-            answer = client.call(SetCameraInfo, service, camera_info=given)
-            assert answer.success, answer.status_message
-            assert read_calibration(kept).camera_matrix[0, 0] == 123.0
-            client.wait(lambda: infos[-1].k[0] == 123.0, "the calibration")
-            given.width = 320
-            answer = client.call(SetCameraInfo, service, camera_info=given)
-            assert not answer.success
-            assert "of 320 x 480 pixels, the images have 640 x 480" in answer.status_message
-            assert read_calibration(kept).width == 640
-            count = len(images)
-            client.wait(lambda: len(images) > count, "frames that go on")
-        finally:
-            client.close()
+        rival = client.node.create_publisher(Image, "/RunCamera/image_raw_1", 5)
+        crowd = "/RunCamera/image_raw_1 has 2 publishers (/client, /left/tactile_sim)"
+        client.wait(lambda: states[name].message.startswith(crowd), "a warning")
+        assert states[name].level is msg_adapters.Level.WARN
+        assert "give each a namespace" in states[name].message
+        client.node.destroy_publisher(rival)
+        client.wait(lambda: "publishers" not in states[name].message, "its end")
+        infos: list[CameraInfo] = []
+        client.node.create_subscription(CameraInfo, "/mine/info", infos.append, 5)
+        client.wait(lambda: infos, "intrinsics")
+        given = infos[-1]
+        given.k[0], given.distortion_model = 123.0, "plumb_bob"
+        service = "/left/set_camera_info"
+        answer = client.call(SetCameraInfo, service, camera_info=given)
+        assert answer.success, answer.status_message
+        assert read_calibration(kept).camera_matrix[0, 0] == 123.0
+        client.wait(lambda: infos[-1].k[0] == 123.0, "the calibration")
+        given.width = 320
+        answer = client.call(SetCameraInfo, service, camera_info=given)
+        assert not answer.success
+        assert "of 320 x 480 pixels, the images have 640 x 480" in answer.status_message
+        assert read_calibration(kept).width == 640
+        count = len(images)
+        client.wait(lambda: len(images) > count, "frames that go on")
         assert node.interrupt() == 0

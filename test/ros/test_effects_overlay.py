@@ -94,7 +94,8 @@ def test_a_gel_that_relaxes_only_by_the_overlay_goes_on_in_real_time(tmp_path: P
         tmp_path / "effects_overlay.yaml",
         {"viscoelastic_relaxation": {"share": 0.4, "time_s": 0.3}},
     )
-    with sensor(effects=path, grid_spacing_m=0.0048, rate_hz=10.0) as (_, client):
+    coarse = PARAMETERS["grid_spacing_m"]
+    with sensor(effects=path, rate_hz=10.0, grid_spacing_m=coarse) as (_, client):
         deep = [0.0, 0.0, APEX_M - 1e-3]
         client.send(deep)
         arrived = client.next_frame(lambda frame: frame.indenter_m() == pytest.approx(deep))

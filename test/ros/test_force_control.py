@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from harness import (
     TactileFrame,
     refused_starts,
     running,
-    sensor,
     with_parameters,
 )
 from rclpy.qos import HistoryPolicy, QoSProfile
@@ -90,13 +89,9 @@ class ForceClient(Client):
 
 @contextmanager
 def forced_sensor(**parameters: Any) -> Iterator[tuple[Executable, ForceClient]]:
-    with sensor(**parameters) as (executable, _):
-        client = ForceClient()
-        try:
-            client.meet()
-            yield executable, client
-        finally:
-            client.close()
+    with running(parameters=parameters) as executable, closing(ForceClient()) as client:
+        client.meet()
+        yield executable, client
 
 
 @pytest.fixture(scope="module")

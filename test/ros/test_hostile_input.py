@@ -65,13 +65,14 @@ Nodes = dict[str, Attacked]
 def attacked(given: dict[str, dict[str, Any]], suffix: str) -> Iterator[Nodes]:
     """Run nodes with these parameters, each in a namespace of its own."""
     with ExitStack() as stack:
-        started = {}
-        for name, parameters in given.items():
-            executable = Executable(
+        started = {
+            name: Executable(
                 f"dotsim_ros.nodes.{name}.node", parameters, ("-r", f"__ns:=/{name}_{suffix}")
             )
+            for name, parameters in given.items()
+        }
+        for executable in started.values():
             stack.callback(executable.end)
-            started[name] = executable
         found = {}
         for name, executable in started.items():
             executable.wait_for_line(READY.get(name, "ready:"))
@@ -116,42 +117,50 @@ def test_no_parameter_ends_a_node(nodes: Nodes, name: str, answered: Any) -> Non
             answered(answers[text], what=what)
 
 
-def now() -> Any:
-    stamp = hostile.header("link_base")
-    stamp.stamp = msg_adapters.encode_stamp(time.time_ns())
-    return stamp
+def pose(frame_id: str) -> PoseStamped:
+    """Return a pose of now that is 10 m away."""
+    return msg_adapters.encode_pose_stamped(
+        (10.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), stamp_ns=time.time_ns(), frame_id=frame_id
+    )
 
 
-def in_base() -> Any:
-    return hostile.header("densetact_base", sec=1 + time.time_ns() // 10**9)
+def wrench(frame_id: str) -> WrenchStamped:
+    """Return a wrench of 100 N, of long ago."""
+    return msg_adapters.encode_wrench_stamped(
+        (0.0, 0.0, 100.0), (0.0, 0.0, 0.0), stamp_ns=10**9, frame_id=frame_id
+    )
+
+
+def twist(frame_id: str) -> TwistStamped:
+    return TwistStamped(header=hostile.header(frame_id))
 
 
 def test_no_message_ends_tactile_sim(nodes: Nodes) -> None:
     attacker = nodes["tactile_sim"].attacker
     before = attacker.memory_bytes()
-    attacker.send(PoseStamped, "indenter/pose", hostile.poses("densetact_base", stamp=in_base))
-    attacker.send(TwistStamped, "indenter/twist", hostile.twists("densetact_base"))
+    attacker.send(PoseStamped, "indenter/pose", hostile.spoilt(pose("densetact_base")))
+    attacker.send(TwistStamped, "indenter/twist", hostile.spoilt(twist("densetact_base")))
     assert attacker.memory_bytes() - before < hostile.GROWTH_BYTES
     nodes["tactile_sim"].check()
 
 
 def test_no_message_ends_xarm_sim(nodes: Nodes) -> None:
-    nodes["xarm_sim"].attacker.send(TwistStamped, "cmd_vel", hostile.twists("link_base"))
+    nodes["xarm_sim"].attacker.send(TwistStamped, "cmd_vel", hostile.spoilt(twist("link_base")))
     nodes["xarm_sim"].check()
 
 
 def test_no_message_ends_tactile_policy(nodes: Nodes) -> None:
     attacker = nodes["tactile_policy"].attacker
-    attacker.send(PoseStamped, "ee_pose", hostile.poses("link_base", stamp=now))
-    attacker.send(WrenchStamped, "wrench", hostile.wrenches("tool"))
-    attacker.send(Image, "image_raw", hostile.images(stamp=now))
+    attacker.send(PoseStamped, "ee_pose", hostile.spoilt(pose("link_base")))
+    attacker.send(WrenchStamped, "wrench", hostile.spoilt(wrench("tool")))
+    attacker.send(Image, "image_raw", hostile.images())
     nodes["tactile_policy"].check()
 
 
 @pytest.mark.fault("messages", "`indenter_player` gets a wrench with a negative stamp")
 def test_no_message_ends_indenter_player(nodes: Nodes, answered: Any) -> None:
     player = nodes["indenter_player"]
-    player.attacker.send(WrenchStamped, "wrench", hostile.wrenches("densetact_base"))
+    player.attacker.send(WrenchStamped, "wrench", hostile.spoilt(wrench("densetact_base")))
     player.check()
     player.executable.wait_for_line("is no valid time")
     answered(hostile.lines_of(player.executable, "is no valid time")[0])

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from free_clock import free_clock
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import refused_starts, running, with_parameters
+from harness import Watcher, refused_starts, running, with_parameters
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
-from watcher import Watcher
 
 import msg_adapters
 from dotsim_ros.data.shipped_presses import read_presses

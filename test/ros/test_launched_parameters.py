@@ -17,7 +17,7 @@ import pytest
 import rclpy
 import yaml
 from geometry_msgs.msg import PoseStamped
-from harness import Client, running
+from harness import Watcher, running
 from launched import Started, launched, started
 
 import msg_adapters
@@ -146,11 +146,11 @@ def test_a_finger_takes_poses_in_its_own_frame() -> None:
     coarse = {"grid_spacing_m": 0.0048, "rate_hz": 10.0}
     with (
         running(parameters=coarse, arguments=left.arguments),
-        closing(Client(topics={})) as client,
+        closing(Watcher("client", "/left")) as client,
     ):
         states: list[PoseStamped] = []
-        client.node.create_subscription(PoseStamped, "/left/indenter/state", states.append, 5)
-        poses = client.node.create_publisher(PoseStamped, "/left/indenter/pose", 5)
+        client.node.create_subscription(PoseStamped, "indenter/state", states.append, 5)
+        poses = client.node.create_publisher(PoseStamped, "indenter/pose", 5)
         client.wait(poses.get_subscription_count, "the finger")
         above = msg_adapters.encode_pose_stamped(
             (0.0, 0.0, 0.03),
@@ -199,8 +199,8 @@ def test_a_launched_player_meets_the_face_of_a_pad(write: WriteFile) -> None:
     path = write({"/**": PAD, "/**/indenter_player": own})
     nodes = started(SENSOR, params_file=path, play="true", source="press")
     (player,) = [node for node in nodes if node.executable == "indenter_player"]
-    poses: list[PoseStamped] = []
-    with closing(Client(topics={})) as client:
+    with closing(Watcher("client")) as client:
+        poses: list[PoseStamped] = []
         client.node.create_subscription(PoseStamped, "indenter/pose", poses.append, 1000)
         with running(PLAYER, arguments=player.arguments) as process:
             assert process.exit_status() == 0, process.log

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 import pytest
@@ -25,12 +25,9 @@ FRAME = {"rate_hz": 10.0, "grid_spacing_m": 0.0048}
 def managed(**parameters: Any) -> Iterator[tuple[Executable, Client]]:
     """Run a tactile_sim that waits to be configured, and a client."""
     given = {"autostart": False, "diagnostics_period_s": PERIOD_S, **FRAME, **parameters}
-    with running(parameters=given, ready="unconfigured: waits") as executable:
-        client = Client()
-        try:
-            yield executable, client
-        finally:
-            client.close()
+    ready = "unconfigured: waits"
+    with running(parameters=given, ready=ready) as executable, closing(Client()) as client:
+        yield executable, client
 
 
 def change(client: Client, label: str) -> bool:

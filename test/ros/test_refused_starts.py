@@ -8,6 +8,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,15 @@ import rclpy
 from harness import refused_starts, running, with_parameters
 from hostile import BOMB
 
+from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, overlay_text
 from dotsim_ros.nodes.common.arguments import check_start
-from dotsim_ros.nodes.common.declare import declare_fields, read
+from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.parameter_file import found_parameter_file, parameters_of
 from dotsim_ros.nodes.common.parameters import known_parameters
 from dotsim_ros.nodes.tactile_policy.node import TactilePolicy
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
+from dotsim_ros.nodes.tactile_sim.node import TactileSim
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.nodes.xarm_sim.node import XarmSim
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
@@ -79,42 +82,85 @@ POLICY_PARAMETERS: dict[str, dict[str, Any]] = {
 """Of `tactile_policy`, by words of the reason."""
 
 
+SENSOR_PARAMETERS: dict[str, dict[str, Any]] = {
+    "rate_hz": {"rate_hz": 1000.0},
+    "expected one of realtime, lockstep": {"clock": "sundial"},
+    "no_such_sensor": {"sensor": "no_such_sensor"},
+    "no mesh file": {"indenter": "/no/such/mesh.stl"},
+    "must differ": {"base_frame": "indenter"},
+    "no idle image /no/such/image.png": {"idle_image": "/no/such/image.png"},
+    "expected one of by_clock, exact, realtime, fast, auto": {"profile": "quick"},
+    "lockstep shows each pose": {"profile": "fast", "clock": "lockstep"},
+    "of type 'INTEGER', expecting type 'STRING': profile": {"profile": 3},
+    "of type 'STRING_ARRAY', expecting type 'STRING': profile": {"profile": "[fast, auto]"},
+    "GB of memory, expected at most 16 GB": {"grid_spacing_m": 0.0005},
+    "world_frame is 'map', but pose_source is topic": {"world_frame": "map"},
+}
+if find_spec("tf2_msgs") is None:
+    SENSOR_PARAMETERS["message package 'tf2_msgs' is not installed"] = {"pose_source": "tf"}
+if find_spec("ros_gz_interfaces") is None:
+    reason = "without it read external_wrench/indenter and external_wrench/sensor"
+    SENSOR_PARAMETERS[reason] = {"entity_sensor": "'arm::tool'"}
+"""Of `tactile_sim`, by words of the reason."""
+OVERLAYS = {
+    "no overlay of effects at": None,
+    "unknown effect 'ghost'; known are": ("ghost", Estimate("size", "", 1.0, 1.0, 1.0)),
+    "force_scale.scale is 3, expected 0.8": (
+        "force_scale",
+        Estimate("scale", "", 3.0, 3.0, 3.0),
+    ),
+}
+"""Effects that cannot work, by words of the reason."""
+MILLIMETRES = "gel.outer_radius_m is 15.75, expected a number from 0.001 to 0.2 m; did you mean"
+STARTS = [
+    *((XarmSim, reason) for reason in ARM_PARAMETERS),
+    *((TactilePolicy, reason) for reason in POLICY_PARAMETERS),
+    *((TactileSim, reason) for reason in (*SENSOR_PARAMETERS, *OVERLAYS, MILLIMETRES)),
+]
+Refusals = dict[type, dict[str, str]]
+
+
 @pytest.fixture(scope="module")
-def refusals() -> dict[str, str]:
-    """Return the log of each start that must be refused."""
-    parameters = {reason: with_parameters(given) for reason, given in ARM_PARAMETERS.items()}
-    return refused_starts(XarmSim, ARGUMENTS | parameters)
+def refusals(tmp_path_factory: pytest.TempPathFactory) -> Refusals:
+    """Return the log of each start that must be refused, by node and words of the reason."""
+    folder = tmp_path_factory.mktemp("refused")
+    of_sensor = dict(SENSOR_PARAMETERS)
+    for number, (reason, found) in enumerate(OVERLAYS.items()):
+        path = folder / f"{number}.yaml"
+        if found is not None:
+            effect = FoundEffect(found[0], (found[1],))
+            path.write_text(overlay_text(Overlay("densetact2", "0123456789abcdef", (effect,))))
+        of_sensor[reason] = {"effects": path}
+    of_sensor[MILLIMETRES] = {"sensor": folder / "millimetres.yaml"}
+    (folder / "millimetres.yaml").write_text("gel: {outer_radius_m: 15.75}\n")
+
+    def logs(
+        node: type, parameters: dict[str, dict[str, Any]], **more: list[str]
+    ) -> dict[str, str]:
+        given = {reason: with_parameters(each) for reason, each in parameters.items()}
+        return refused_starts(node, {**more, **given})
+
+    return {
+        XarmSim: logs(XarmSim, ARM_PARAMETERS, **ARGUMENTS),
+        TactilePolicy: logs(TactilePolicy, POLICY_PARAMETERS),
+        TactileSim: logs(TactileSim, of_sensor),
+    }
 
 
-@pytest.mark.parametrize("reason", ARM_PARAMETERS)
-def test_an_arm_that_cannot_work_is_refused_with_the_reason(
-    refusals: dict[str, str], reason: str
+@pytest.mark.parametrize(("node", "reason"), STARTS)
+def test_a_start_that_cannot_work_is_refused_with_the_reason(
+    refusals: Refusals, node: type, reason: str
 ) -> None:
-    assert reason in refusals[reason]
-    assert "Traceback" not in refusals[reason]
-
-
-@pytest.fixture(scope="module")
-def policy_refusals() -> dict[str, str]:
-    """Return the log of each start of `tactile_policy` that must be refused."""
-    starts = {reason: with_parameters(given) for reason, given in POLICY_PARAMETERS.items()}
-    return refused_starts(TactilePolicy, starts)
-
-
-@pytest.mark.parametrize("reason", POLICY_PARAMETERS)
-def test_a_policy_that_cannot_work_is_refused_with_the_reason(
-    policy_refusals: dict[str, str], reason: str
-) -> None:
-    assert reason in policy_refusals[reason]
-    assert "Traceback" not in policy_refusals[reason]
+    assert reason in refusals[node][reason]
+    assert "Traceback" not in refusals[node][reason]
 
 
 @pytest.mark.fault("node parameters", "a command line that makes no sense")
 @pytest.mark.parametrize("what", ARGUMENTS)
 def test_a_command_line_that_makes_no_sense_is_answered_in_one_line(
-    refusals: dict[str, str], what: str, answered: Any
+    refusals: Refusals, what: str, answered: Any
 ) -> None:
-    log = refusals[what]
+    log = refusals[XarmSim][what]
     assert "Traceback" not in log
     (line,) = [line for line in log.splitlines() if "cannot start: " in line]
     answered(line.partition("]: ")[2], what=f"a node is started with {what}")
@@ -224,6 +270,18 @@ def test_topics_that_cannot_be_recorded_are_refused(what: str, answered: Any) ->
     answered(caught.value, what=f"`tactile_record` is asked for {what}")
 
 
+def settings_of(arguments: list[str], namespace: str = "") -> TactileSimParameters:
+    """Return the parameters that a `tactile_sim` has by its command line."""
+    context = rclpy.Context()
+    rclpy.init(context=context, args=arguments)
+    node = WorkingNode("tactile_sim", namespace=namespace, context=context)
+    try:
+        return declare(node, TactileSimParameters)
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
 def test_paths_of_parameters_may_begin_with_the_home(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -232,13 +290,7 @@ def test_paths_of_parameters_may_begin_with_the_home(
     # A topic of the node's own begins with the same character.
     private = {"image_topic": "~/image_raw"}
     arguments = [f"{name}:={value}" for name, value in (given | private).items()]
-    context = rclpy.Context()
-    rclpy.init(context=context, args=["--ros-args", *(x for a in arguments for x in ("-p", a))])
-    node = WorkingNode("tactile_sim", context=context)
-    declare_fields(node, TactileSimParameters)
-    settings = read(node, TactileSimParameters)
-    node.destroy_node()
-    context.shutdown()
+    settings = settings_of(["--ros-args", *(x for a in arguments for x in ("-p", a))])
     for name, value in given.items():
         assert getattr(settings.sensor, name) == value.replace("~", str(tmp_path))
     assert found_parameter_file("~/idle.png") == "~/idle.png"
@@ -254,13 +306,7 @@ def test_parameters_are_read_as_launch_ros_writes_them(name: str) -> None:
     arguments = ["--ros-args", "--params-file", path]
     check_start(arguments)
     assert parameters_of(path, "/left/tactile_sim")["crop_px"] == [0, 0, 320, 240]
-    context = rclpy.Context()
-    rclpy.init(context=context, args=arguments)
-    node = WorkingNode("tactile_sim", namespace="left", context=context)
-    declare_fields(node, TactileSimParameters)
-    settings = read(node, TactileSimParameters)
-    node.destroy_node()
-    rclpy.try_shutdown(context=context)
+    settings = settings_of(arguments, namespace="left")
     assert settings.image.crop_px == (0, 0, 320, 240)
     assert settings.links.entity_sensor_centre_m == (0.01, 0.0, -0.02)
     assert (settings.sensor.sensor, settings.time.latency_seed) == ("flat_pad", 3)

@@ -1,38 +1,43 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`run_node`, the way every node starts and stops, on nodes that make it hard."""
+"""How every node starts and ends: `run_node`, on nodes that make it hard, and the real ones."""
 
 import signal
 import subprocess
 import sys
-import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
-from harness import Executable
+from harness import START_PATIENCE_S, Executable, check_interrupts
 
-SLOW_TO_START = """
-import sys, time
+PROGRAM = """
+import sys, threading, time
+from rclpy.utilities import try_shutdown
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.spin import run_node
 
-class Slow(WorkingNode):
+class Hard(WorkingNode):
     def __init__(self):
-        super().__init__("slow")
+        super().__init__("hard")
+        self.make()
+
+    def make(self):
+        pass
+{methods}
+sys.exit(run_node(Hard))
+"""
+
+SLOW_TO_START = """
+    def make(self):
         print("starting", flush=True)
         time.sleep(60.0)
-
-sys.exit(run_node(Slow))
 """
 
 SLOW_TO_STOP = """
-import sys, time
-from dotsim_ros.nodes.common.node import WorkingNode
-from dotsim_ros.nodes.common.spin import run_node
-
-class Slow(WorkingNode):
-    def __init__(self):
-        super().__init__("slow")
+    def make(self):
         self.timer = self.create_timer(0.01, self.tell)
 
     def tell(self):
@@ -43,21 +48,11 @@ class Slow(WorkingNode):
         time.sleep(0.5)
         print("finished", flush=True)
         super().destroy_node()
-
-sys.exit(run_node(Slow))
 """
 
 SLOW_TO_BEGIN = """
-import sys, threading, time
-from dotsim_ros.nodes.common.node import WorkingNode
-from dotsim_ros.nodes.common.spin import run_node
-
-class Slow(WorkingNode):
-    def __init__(self):
-        super().__init__("slow")
-        self.stop = threading.Event()
-
     def begin(self):
+        self.stop = threading.Event()
         self.thread = threading.Thread(target=self.stop.wait)
         self.thread.start()
         print("starting", flush=True)
@@ -69,82 +64,128 @@ class Slow(WorkingNode):
         self.thread.join()
         print("finished", flush=True)
         super().destroy_node()
-
-sys.exit(run_node(Slow))
 """
 
 ENDS_ITSELF = """
-import sys
-from dotsim_ros.nodes.common.node import WorkingNode
-from rclpy.utilities import try_shutdown
-from dotsim_ros.nodes.common.spin import run_node
-
-class Short(WorkingNode):
-    def __init__(self):
-        super().__init__("short")
+    def make(self):
         self.exit_status = 3
         self.create_timer(0.01, try_shutdown)
-
-sys.exit(run_node(Short))
 """
 
 BREAKS = """
-import sys
-from dotsim_ros.nodes.common.node import WorkingNode
-from dotsim_ros.nodes.common.spin import run_node
-
-class Wrong(WorkingNode):
-    def __init__(self):
-        super().__init__("wrong")
+    def make(self):
         self.create_timer(0.01, self.fail)
 
     def fail(self):
         raise RuntimeError("a bug")
-
-sys.exit(run_node(Wrong))
 """
 
 
-def started(code):
-    executable = Executable("", code=code)
-    executable.wait_for_line("starting")
-    assert executable.log.startswith("starting\n")
-    return executable
+def executable(methods: str) -> Executable:
+    return Executable("", code=PROGRAM.format(methods=methods))
+
+
+def started(methods: str) -> Executable:
+    node = executable(methods)
+    node.wait_for_line("starting")
+    assert node.log.startswith("starting\n")
+    return node
 
 
 @pytest.mark.parametrize(
-    "code",
+    "methods",
     [SLOW_TO_START, SLOW_TO_BEGIN, SLOW_TO_STOP],
     ids=["starting", "beginning", "stopping"],
 )
-def test_doubled_interrupt_ends_cleanly(code):
-    executable = started(code)
-    for _ in range(2):
-        executable.process.send_signal(signal.SIGINT)
-        time.sleep(0.02)
-    status, log = executable.exit_status(30.0), executable.log
-    assert status == 0, log
-    assert "Traceback" not in log
-    assert ("begun" in log) == (code is SLOW_TO_BEGIN)
-    assert ("finished" in log) == (code is not SLOW_TO_START)
+def test_doubled_interrupt_ends_cleanly(methods: str) -> None:
+    node = started(methods)
+    assert node.interrupt(2) == 0, node.log
+    assert "Traceback" not in node.log
+    assert ("begun" in node.log) == (methods is SLOW_TO_BEGIN)
+    assert ("finished" in node.log) == (methods is not SLOW_TO_START)
 
 
-def test_terminate_ends_cleanly():
-    executable = started(SLOW_TO_STOP)
-    executable.process.send_signal(signal.SIGTERM)
-    status, log = executable.exit_status(30.0), executable.log
-    assert status == 0, log
-    assert "finished" in log
+def test_terminate_ends_cleanly() -> None:
+    node = started(SLOW_TO_STOP)
+    node.process.send_signal(signal.SIGTERM)
+    assert node.exit_status() == 0, node.log
+    assert "finished" in node.log
 
 
-def test_node_ends_itself_with_its_status():
-    done = subprocess.run([sys.executable, "-c", ENDS_ITSELF], timeout=60, check=False)
-    assert done.returncode == 3
+def test_node_ends_itself_with_its_status() -> None:
+    assert executable(ENDS_ITSELF).exit_status() == 3
 
 
-def test_bug_is_not_swallowed():
-    done = subprocess.run(
-        [sys.executable, "-c", BREAKS], timeout=60, check=False, capture_output=True, text=True
-    )
-    assert done.returncode == 1
-    assert "RuntimeError: a bug" in done.stderr
+def test_bug_is_not_swallowed() -> None:
+    node = executable(BREAKS)
+    assert node.exit_status() == 1
+    assert "RuntimeError: a bug" in node.log
+
+
+def test_simulated_time_without_a_clock_is_told_and_two_sigints_end_it() -> None:
+    told = {
+        "tactile_sim": "/clock is silent",
+        "xarm_sim": "/clock is silent",
+        "indenter_player": "no /clock comes",
+    }
+    with ExitStack() as stack:
+        # All at once: each is silent for seconds before it says so.
+        nodes = {
+            name: Executable(f"dotsim_ros.nodes.{name}.node", {"use_sim_time": True})
+            for name in told
+        }
+        for node in nodes.values():
+            stack.callback(node.end)
+        for name, node in nodes.items():
+            node.wait_for_line(told[name])
+            # test_in_the_middle.py interrupts a node that is at work.
+            assert node.interrupt(2) == 0, node.log
+            assert "Traceback" not in node.log
+
+
+@pytest.mark.fault("node parameters", "a home that cannot be written, for the logs of ROS")
+def test_a_home_that_cannot_be_written_ends_no_node(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answered: Callable[..., None]
+) -> None:
+    (tmp_path / "home").write_text("a file")
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    for name in ("ROS_HOME", "ROS_LOG_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    node = Executable("dotsim_ros.nodes.xarm_sim.node", {})
+    try:
+        node.wait_for_line("ready:")
+        assert node.interrupt(1) == 0, node.log
+    finally:
+        node.end()
+    (line,) = (each for each in node.log.splitlines() if "nothing can be kept in" in each)
+    assert "set ROS_LOG_DIR to a folder that can be written" in line
+    answered(line)
+    (kept,) = (tmp_path / "temporary").glob("dotsim_ros-*")
+    assert list(kept.glob("*.log"))
+
+
+@pytest.mark.parametrize(
+    ("node", "parameters"),
+    [("indenter_player", {"loop": "true", "wait_for_subscriber_s": 0.0}), ("xarm_sim", {})],
+)
+def test_a_node_ends_at_the_first_sigint_at_whatever_moment(
+    node: str, parameters: dict[str, object]
+) -> None:
+    check_interrupts(node, count=4, parameters=parameters)
+
+
+def test_a_node_that_is_being_imported_ends_quietly() -> None:
+    code = "from dotsim_ros.nodes.executables import tactile_sim; tactile_sim()"
+    # Python says on stderr what it has imported.
+    command = [sys.executable, "-X", "importtime", "-c", code]
+    with subprocess.Popen(command, stdout=-1, stderr=-1, text=True) as process:
+        assert process.stderr is not None
+        lines = iter(process.stderr.readline, "")
+        assert any("numpy" in line for line in lines)
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=START_PATIENCE_S)
+    assert process.returncode == 0
+    assert "tactile_sim.node\n" not in errors, "it was imported before the signal came"
+    assert "Traceback" not in output + errors

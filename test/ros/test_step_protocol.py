@@ -16,8 +16,7 @@ from dotsim_ros.nodes.simulated_time.protocol import (
     Step,
     decode_answer,
     decode_step,
-    encode_answer,
-    encode_step,
+    encode,
 )
 
 
@@ -30,12 +29,12 @@ def test_steps_and_answers_come_back_as_they_were() -> None:
         Step(2_147_000_000_123_456_789, Kind.CALL),
         Step(1, Kind.STEP, {"/a": Sent("life of a", 3), "/b/c": Sent("", 0)}),
     ):
-        assert decode_step(on_the_wire(encode_step(step))) == step
+        assert decode_step(on_the_wire(encode(step))) == step
     for answer in (
         Answer(1_010_000_000, Kind.DONE, "/left/node", "life", {"/a": 7}),
         Answer(1, Kind.PRESENT, "/node", "life", {"/a": 7}, {"/a": 2, "/b": 0}, {"/c": 1}, "it"),
     ):
-        assert decode_answer(on_the_wire(encode_answer(answer))) == answer
+        assert decode_answer(on_the_wire(encode(answer))) == answer
 
 
 @pytest.mark.parametrize(

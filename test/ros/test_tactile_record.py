@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, refused_starts, running, with_parameters
+from harness import PATIENCE_S, Executable, Watcher, refused_starts, running, with_parameters
 from rclpy.qos import HistoryPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from watcher import Watcher
 
 import msg_adapters
 from dotsim_ros.cli.main import main

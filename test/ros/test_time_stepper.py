@@ -22,7 +22,6 @@ from stepper_rig import (
     BEAT_S,
     CONTROLLER,
     CONTROLLER_ENTRY,
-    MANAGED_WORKER,
     REPLYING,
     TICK_S,
     WORKER,
@@ -62,7 +61,7 @@ def test_all_go_together(steps: Session) -> None:
     steps.start(WORKER, **STEPPED)
     steps.start(CONTROLLER, **SIMULATED)
     stepper = steps.begin(WORKER_ENTRY + CONTROLLER_ENTRY)
-    steps.wait(lambda: len(steps.ticks) > 200, "ticks")
+    steps.wait(lambda: len(steps.ticks) > 100, "ticks")
     running = steps.wait_for_state("running")
     assert stepper.interrupt() == 0
     assert "Traceback" not in stepper.log
@@ -86,7 +85,7 @@ def test_a_managed_node_may_rest_but_not_be_configured_again(steps: Session) -> 
         asked = Transition(label=label)
         assert steps.call(ChangeState, "worker/change_state", transition=asked).success
 
-    steps.start(MANAGED_WORKER, **STEPPED)
+    steps.start(WORKER, **STEPPED)
     with steps.stepping() as stepper:
         # The first ticks go before the graph has connected anyone to them.
         steps.wait(lambda: stepper.advance(0.1) or steps.ticks, "a tick")
@@ -163,8 +162,9 @@ def _new_starts(steps: Session) -> IntArray:
 
 def test_it_stops_while_it_waits(steps: Session) -> None:
     stepper = steps.step()
-    steps.wait_for_hindrance("worker is not there; start it")
-    assert steps.wait_for_state("waiting").level > 0
+    waiting = steps.wait_for_state("waiting", lambda state: "is not there" in state.message)
+    assert waiting.level > 0
+    assert "worker is not there; start it" in waiting.message
     # The step waits for the participants, and is given up with them.
     assert stepper.interrupt() == 0
     assert "Traceback" not in stepper.log
@@ -182,8 +182,8 @@ def test_a_participant_never_comes(steps: Session, answered: Callable[..., None]
 @pytest.mark.fault(AREA, "a node without `stepped` is to answer each step")
 def test_a_participant_never_answers(steps: Session, answered: Callable[..., None]) -> None:
     steps.start(WORKER, **SIMULATED).wait_for_line("ready:")
-    with steps.stepping(patience_s=4.0) as stepper:
-        line = steps.reason(stepper)
+    with steps.stepping() as stepper:
+        line = steps.reason(stepper, patience_s=2.0)
     assert "worker does not answer" in line
     assert "use_sim_time and stepped" in line
     answered(line)
@@ -204,11 +204,11 @@ def test_participants_leave(steps: Session, answered: Callable[..., None]) -> No
         line = steps.reason(stepper)
         assert "has started again" in line
         answered(without_time(line), what="a node that time waits for is started again")
-    with steps.stepping(patience_s=4.0) as stepper:
+    with steps.stepping() as stepper:
         stepper.advance(0.2)
         worker.process.send_signal(signal.SIGKILL)
-        line = steps.reason(stepper)
-        assert "worker did not answer for 4 s" in line
+        line = steps.reason(stepper, patience_s=1.0)
+        assert "worker did not answer for 1 s" in line
         answered(without_time(line), what="a node that time waits for is killed")
 
 
@@ -220,8 +220,9 @@ def test_another_clock_begins_in_the_middle(shared: Session, answered: Callable[
         line = shared.reason(stepper)
     assert "another node publishes /clock" in line
     answered(line)
-    # It is no better before the start.
+    # It is no better before the start, once the stepper knows of it.
     with shared.stepping() as stepper:
+        shared.wait(lambda: stepper._node.count_publishers("/clock") > 1, "the other clock")
         shared.hindrance(stepper, "another node publishes /clock")
     shared.node.destroy_publisher(clock)
 
@@ -258,10 +259,11 @@ def test_a_controller_that_time_cannot_wait_for(
         with shared.stepping(WORKER_ENTRY + entry) as stepper:
             answered(shared.hindrance(stepper, reason), what=what)
     entry = f"  controller:\n{REPLYING}"
-    with shared.stepping(WORKER_ENTRY + entry, patience_s=5.0) as stepper:
-        line = shared.reason(stepper)
+    with shared.stepping(WORKER_ENTRY + entry) as stepper:
+        stepper.advance(0.1)
+        line = shared.reason(stepper, patience_s=1.0)
     controller.end()
-    assert "controller published nothing on /replies for 5 s" in line
+    assert "controller published nothing on /replies for 1 s" in line
     answered(without_time(line))
 
 

@@ -275,7 +275,11 @@ def test_no_parameter_and_no_message_ends_it(rig: Rig) -> None:
     try:
         hostile.try_every_parameter(attacker)
         begin_s = time.monotonic()
-        attacker.send(TwistStamped, "cmd_vel", hostile.twists("link_base"))
+        attacker.send(
+            TwistStamped,
+            "cmd_vel",
+            hostile.spoilt(TwistStamped(header=hostile.header("link_base"))),
+        )
         kind = importlib.import_module("xarm_msgs.msg").RobotMsg
         states = [kind(header=each, mode=5, state=2) for each in hostile.headers("")]
         for number in hostile.EXTREMES:

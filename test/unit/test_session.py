@@ -14,8 +14,8 @@ from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.nodes.common.ingest import Fault, FaultLog, RefusedInputError
-from dotsim_ros.nodes.tactile_sim.health import FAULT_MEMORY_S, Condition, FrameCounter, statuses
+from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
+from dotsim_ros.nodes.tactile_sim.health import FAULT_MEMORY_S, FrameCounter, gel_report
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
 from dotsim_ros.nodes.tactile_sim.session import SensorSession
 from dotsim_ros.sensor import GelFailureError, TactileSensor
@@ -52,33 +52,6 @@ def motion(depth_mm, stamp_ns):
     return MotionOrder(pressed(depth_mm), stamp_ns, None)
 
 
-def statuses_of(counter, gel, now_s):
-    condition = Condition(
-        is_active=True,
-        is_enabled=True,
-        silence_s=None,
-        missing_input="",
-        timeout_s=1.0,
-        is_realtime=True,
-        late=0,
-        dropped=0,
-        lag_m=0.0,
-        maximum_lag_m=1.0,
-        profile={},
-    )
-    states = statuses(
-        "node",
-        "sensor",
-        condition=condition,
-        counter=counter,
-        faults=FaultLog(),
-        gel=gel,
-        effects=(),
-        now_s=now_s,
-    )
-    return {state.name: state for state in states}
-
-
 def test_a_gel_that_cannot_be_solved_is_reset_and_says_so(sensor, failing_gel):
     fresh = sensor.step(None, 0.04)
     with pytest.raises(GelFailureError, match="press again from outside"):
@@ -111,16 +84,17 @@ def test_a_frame_that_has_not_converged_is_counted_and_warned_of_for_a_while(sen
     gel = sensor.press(None, 0.04)
     counter = FrameCounter()
     counter.note(0.0, {}, converged=True)
-    state = statuses_of(counter, gel, 0.0)["node: gel"]
-    assert (state.level, state.values["unconverged"]) == (Level.OK, "0")
+
+    def state(now_s, **changes):
+        level, _, values = gel_report(replace(gel, **changes), (), counter, now_s)
+        return level, values["unconverged"]
+
+    assert state(0.0) == (Level.OK, "0")
     counter.note(1.0, {}, converged=False)
     counter.note(1.04, {}, converged=True)
-    state = statuses_of(counter, gel, 1.1)["node: gel"]
-    assert (state.level, state.values["unconverged"]) == (Level.WARN, "1")
-    state = statuses_of(counter, gel, 2.0 + FAULT_MEMORY_S)["node: gel"]
-    assert (state.level, state.values["unconverged"]) == (Level.OK, "1")
-    state = statuses_of(counter, replace(gel, converged=False), 2.0 + FAULT_MEMORY_S)["node: gel"]
-    assert state.level == Level.WARN
+    assert state(1.1) == (Level.WARN, "1")
+    assert state(2.0 + FAULT_MEMORY_S) == (Level.OK, "1")
+    assert state(2.0 + FAULT_MEMORY_S, converged=False) == (Level.WARN, "1")
 
 
 def test_a_deep_press_takes_several_limited_frames_and_arrives(sensor):

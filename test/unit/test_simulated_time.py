@@ -15,7 +15,6 @@ from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.simulated_time.latency import LONGEST_S, Latency
 from dotsim_ros.nodes.simulated_time.schedule import (
     LONGEST_STEP_S,
-    PeriodicWork,
     SimulatedSchedule,
 )
 from dotsim_ros.nodes.simulated_time.stepper import LARGEST_LAG_S, SpeedLimit
@@ -38,7 +37,7 @@ def test_each_thing_is_done_at_its_own_time_in_the_order_asked_for() -> None:
 def test_a_pace_is_kept_whatever_the_steps(step_s: float) -> None:
     schedule, seen = SimulatedSchedule(), []
     pace = FramePace(rate_hz=25.0, start_s=0.0)
-    schedule.pace(PeriodicWork(lambda: pace, lambda: seen.append(schedule.now_s)))
+    schedule.pace(pace.deadline_s, lambda now_s: (pace.begin(now_s), seen.append(now_s)))
     for index in range(round(1.0 / step_s)):
         schedule.advance((index + 1) * step_s)
     assert len(seen) >= 25
@@ -58,14 +57,16 @@ def test_how_long_it_is_until_something_is_due() -> None:
 
 def test_a_pace_is_over_when_it_is_ended_and_another_may_begin() -> None:
     schedule, seen = SimulatedSchedule(), []
-    pace = FramePace(rate_hz=100.0, start_s=0.0)
-    end = schedule.pace(PeriodicWork(lambda: pace, lambda: seen.append("first")))
-    schedule.advance(0.015)
-    end()
-    pace = FramePace(rate_hz=100.0, start_s=schedule.now_s)
-    schedule.pace(PeriodicWork(lambda: pace, lambda: seen.append("second")))
-    schedule.advance(0.03)
-    assert seen == ["first", "first", "second", "second"]
+    for end_s in (0.015, 0.03):
+        pace = FramePace(rate_hz=100.0, start_s=schedule.now_s)
+        end = schedule.pace(
+            pace.deadline_s, lambda now_s, pace=pace: (pace.begin(now_s), seen.append(pace))
+        )
+        schedule.advance(end_s)
+        end()
+    first, second = seen[0], seen[-1]
+    assert first is not second
+    assert seen == [first, first, second, second]
 
 
 def test_what_is_computed_can_be_settled_dropped_and_cleared() -> None:

@@ -1,7 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a node's user gives it before it runs: the command line and what DDS is set to.
+"""What a node's user gives it before it runs: the command line, what DDS is set to, and where logs
+are written.
 
 ROS and DDS themselves ignore much of what is wrong here. Needs no ROS.
 """
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.files import expanded, usable_folder
 from dotsim_ros.nodes.common.parameter_file import (
     check_parameter_file,
     found_parameter_file,
@@ -58,6 +60,17 @@ def check_start(arguments: Sequence[str]) -> None:
                 f"{name} names {profile}, which is no file, so that DDS would use its defaults: "
                 "correct or unset it"
             )
+
+
+def prepare_log_folder() -> None:
+    """Choose a folder that can be written for the logs of ROS, which does not start without one, by
+    its own rules where they give one; call it before `rclpy.init`."""
+    home = os.environ.get("ROS_HOME")
+    try:
+        below = expanded(home) if home else Path.home() / ".ros"
+    except RuntimeError:  # a user without a home
+        below = None
+    os.environ["ROS_LOG_DIR"] = str(usable_folder("ROS_LOG_DIR", below and below / "log"))
 
 
 def _check_domain(text: str) -> None:

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What `tactile_policy` counts of its two loops. Needs no ROS."""
+"""What nodes count: events a second, the spread of a figure, missed deadlines. Needs no ROS."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from threading import Lock
 
 import numpy as np
 
-RATE_WINDOW_S = 5.0
 KEPT = 15000
 """Ten minutes at 25 Hz."""
 TOLD_MISS_S = 0.04
@@ -23,9 +22,17 @@ def milliseconds(*values_s: float) -> str:
 
 
 class RateMeter:
-    """Events a second over the last seconds; one thread may note while another reads."""
+    """Events a second over the last seconds; one thread may note while another reads.
 
-    def __init__(self) -> None:
+    Args:
+        window_s: how many seconds.
+
+    Attributes:
+        count: of all events.
+    """
+
+    def __init__(self, window_s: float = 5.0) -> None:
+        self._window_s = window_s
         self.count = 0
         self._lock = Lock()
         self._times_s: deque[float] = deque()
@@ -35,13 +42,13 @@ class RateMeter:
         with self._lock:
             self.count += 1
             self._times_s.append(now_s)
-            while now_s - self._times_s[0] > RATE_WINDOW_S:
+            while now_s - self._times_s[0] > self._window_s:
                 self._times_s.popleft()
 
     def rate_hz(self, now_s: float) -> float:
-        """Return events per second."""
+        """Return events per second, 0 for fewer than two."""
         with self._lock:
-            times_s = [time_s for time_s in self._times_s if now_s - time_s <= RATE_WINDOW_S]
+            times_s = [time_s for time_s in self._times_s if now_s - time_s <= self._window_s]
         if len(times_s) < 2:
             return 0.0
         return (len(times_s) - 1) / max(times_s[-1] - times_s[0], 1e-9)

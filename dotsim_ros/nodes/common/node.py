@@ -31,6 +31,7 @@ from dotsim_ros.nodes.common import topic_quality
 from dotsim_ros.nodes.common.clock_watch import ClockJump
 from dotsim_ros.nodes.common.failures import Failures
 from dotsim_ros.nodes.common.local_topics import (
+    Information,
     LocalPublisher,
     LocalSubscription,
     composed_topics,
@@ -45,7 +46,7 @@ from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.reasons import nearest
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.simulated_time.participant import StepParticipant, stamp_of
-from dotsim_ros.nodes.simulated_time.schedule import PacedWork, PeriodicWork
+from dotsim_ros.nodes.simulated_time.schedule import PacedWork
 from msg_adapters import Status
 
 ParameterCheck = Callable[[Sequence[Parameter]], SetParametersResult]
@@ -199,30 +200,34 @@ class WorkingNode(Node):
         own recorder does, unless the topic belongs to the steps of simulated time, which lose
         nothing.
         """
-
-        def take(*what: Any) -> None:
-            try:
-                if self._simulated is not None:
-                    self._simulated.begin_again()
-                callback(*what)
-            except Exception as error:
-                self.note_failure(f"a message on {topic} is left out", error)
-
         quality = topic_quality.profile_of(qos_profile)
         is_stepped = topic_quality.is_stepped(topic, quality)
         participant = self.participant if is_stepped else None
-        # ROS sees by the number of its arguments whether a callback wants to know more.
-        wants_more = len(signature(callback).parameters) != 1
         if participant is not None:
             topic_quality.keep_all(quality)
-            receive: Callable[..., None] = self._held_back(participant, topic, take, wants_more)
-        elif wants_more:
-            receive = lambda message, information: take(message, information)  # noqa: E731
-        else:
-            receive = lambda message: take(message)  # noqa: E731
+        # As ROS does: the number of its arguments says whether a callback takes the information.
+        takes_information = len(signature(callback).parameters) != 1
         events = copy(options.get("event_callbacks") or SubscriptionEventCallbacks())
         opened: Any = None
         local: LocalSubscription | None = None
+
+        def take(*what: Any) -> None:
+            if self._simulated is not None:
+                self._simulated.begin_again()
+            callback(*what)
+
+        def receive(message: Any, information: Information) -> None:
+            what = (message, information) if takes_information else (message,)
+            act = partial(self._attempt, topic, partial(take, *what))
+            if participant is None:
+                act()
+                return
+            number = information["publication_sequence_number"]
+            hold = partial(participant.hold, opened.topic_name, number, stamp_of(message), act)
+            self._attempt(topic, hold)
+
+        # rclpy's types know no callback that takes the information, too.
+        hear: Any = receive
 
         def adapt(event: Any) -> None:
             nonlocal opened
@@ -236,7 +241,7 @@ class WorkingNode(Node):
                 )
                 self.destroy_subscription(opened)
                 again = {**options, "qos_overriding_options": None}
-                opened = Node.create_subscription(self, msg_type, topic, receive, quality, **again)
+                opened = Node.create_subscription(self, msg_type, topic, hear, quality, **again)
                 if local is not None:
                     local.dds = opened
                 return
@@ -252,19 +257,14 @@ class WorkingNode(Node):
         options["event_callbacks"] = events
         try:
             opened = super().create_subscription(
-                msg_type, topic, receive, quality, **topic_quality.with_check(options)
+                msg_type, topic, hear, quality, **topic_quality.with_check(options)
             )
         except Exception as error:
             raise topic_quality.topic_refusal(self, topic, error) from error
         subscription: Any = opened
         if self._local is not None and is_stepped:
-            takes_all = participant is not None or wants_more
             subscription = local = LocalSubscription(
-                self,
-                opened.topic_name,
-                receive if takes_all else lambda message, _: receive(message),
-                quality,
-                opened,
+                self, opened.topic_name, receive, quality, opened
             )
             self._local.subscribe_here(local)
         if participant is not None:
@@ -370,25 +370,12 @@ class WorkingNode(Node):
                 return result
         return SetParametersResult(successful=True)
 
-    def _held_back(
-        self,
-        participant: StepParticipant,
-        topic: str,
-        take: Callable[..., None],
-        wants_more: bool,
-    ) -> Callable[..., None]:
-        """Return a callback that keeps messages until the next step."""
-        resolved = self.resolve_topic_name(topic)
-
-        def receive(message: Any, information: Any) -> None:
-            what = (message, information) if wants_more else (message,)
-            number = information["publication_sequence_number"]
-            try:
-                participant.hold(resolved, number, stamp_of(message), partial(take, *what))
-            except ValueError as error:
-                self.note_failure(f"a message on {topic} is left out", error)
-
-        return receive
+    def _attempt(self, topic: str, act: Callable[[], None]) -> None:
+        """Do something with a message of a topic, which is left out where that fails."""
+        try:
+            act()
+        except Exception as error:
+            self.note_failure(f"a message on {topic} is left out", error)
 
     # Work.
 
@@ -410,7 +397,12 @@ class WorkingNode(Node):
 
         `pace` is asked for each deadline, since a parameter may change the rate.
         """
-        return self.start_work(name, PeriodicWork(pace, tick), broken)
+
+        def run(now_s: float) -> None:
+            pace().begin(now_s)
+            tick()
+
+        return self._repeat(name, lambda: pace().deadline_s(), run, broken)
 
     def start_work(self, name: str, work: PacedWork, broken: str) -> Callable[[], None]:
         """Do work at each of its deadlines until the node stops; `broken` as of `start_thread`.
@@ -419,16 +411,27 @@ class WorkingNode(Node):
             What ends it before, and waits until nothing of it is being done; not for the work
             itself to call.
         """
+        return self._repeat(name, work.deadline_s, work.run, broken)
+
+    def _repeat(
+        self,
+        name: str,
+        deadline_s: Callable[[], float],
+        run: Callable[[float], None],
+        broken: str,
+    ) -> Callable[[], None]:
         if self._simulated is not None:
-            return self._simulated.schedule.pace(_Watched(self, work, broken))
+            return self._simulated.schedule.pace(
+                deadline_s, lambda now_s: self._watch(partial(run, now_s), broken)
+            )
         is_over = Event()
 
-        def run() -> None:
-            while not is_over.wait(max(0.0, work.deadline_s() - time.monotonic())):
-                work.run(time.monotonic())
+        def loop() -> None:
+            while not is_over.wait(max(0.0, deadline_s() - time.monotonic())):
+                run(time.monotonic())
 
         self._ends.append(is_over)
-        thread = self.start_thread(name, run, broken)
+        thread = self.start_thread(name, loop, broken)
 
         def end() -> None:
             is_over.set()
@@ -525,21 +528,6 @@ class WorkingNode(Node):
         else:
             self.create_timer(period_s, report, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return report
-
-
-class _Watched:
-    """Work that ends its node where it fails; see `WorkingNode.start_thread`."""
-
-    def __init__(self, node: WorkingNode, work: PacedWork, broken: str) -> None:
-        self._node, self._work, self._broken = node, work, broken
-
-    def deadline_s(self) -> float:
-        """Return when it is due."""
-        return self._work.deadline_s()
-
-    def run(self, now_s: float) -> None:
-        """Do it."""
-        self._node._watch(partial(self._work.run, now_s), self._broken)
 
 
 def _refuse_nameless(changes: Sequence[Parameter]) -> SetParametersResult:

@@ -44,7 +44,8 @@ def check_parameter_file(path: str) -> None:
         OSError: it cannot be opened.
         ValueError: it is no YAML, or names no parameters.
     """
-    if not _holds_parameters(read_yaml(path)):
+    content = read_yaml(path)
+    if not (isinstance(content, dict) and any(_sections(content))):
         raise ValueError(f"{path} holds no parameters; expected {EXPECTED['params file']}")
 
 
@@ -113,12 +114,3 @@ def _means(section: str, node: str) -> bool:
 
 def _parts(name: str) -> list[str]:
     return [part for part in name.split("/") if part]
-
-
-def _holds_parameters(content: Any) -> bool:
-    """Return whether parameters stand anywhere below namespaces and nodes."""
-    if not isinstance(content, dict):
-        return False
-    return isinstance(content.get(PARAMETERS_KEY), dict) or any(
-        map(_holds_parameters, content.values())
-    )

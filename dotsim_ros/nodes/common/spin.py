@@ -21,11 +21,11 @@ from dotsim_ros.io.cores import keep_single_threaded
 from dotsim_ros.nodes.common.arguments import (
     check_start,
     names_for,
+    prepare_log_folder,
     typed_names,
     with_found_files,
 )
 from dotsim_ros.nodes.common.failures import FORESEEN
-from dotsim_ros.nodes.common.log_folder import prepare_log_folder
 from dotsim_ros.nodes.common.node import BROKEN, WorkingNode
 from dotsim_ros.nodes.common.reasons import nearest, reason_of
 

@@ -10,7 +10,6 @@ from collections.abc import Callable
 import numpy as np
 from geometry_msgs.msg import TwistStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.control.arm.command import Twist, check_plausible
@@ -47,13 +46,7 @@ class VelocityInput:
         self._node, self._take, self._stop = node, take, stop
         self._base_frame, self._tool_frame = base_frame, tool_frame
         self._faults = FaultLog()
-        node.create_subscription(
-            TwistStamped,
-            "cmd_vel",
-            self._on_command,
-            COMMAND_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        node.open_subscription(TwistStamped, "cmd_vel", self._on_command, COMMAND_QOS)
 
     def report(self, message: str, values: dict[str, str]) -> Report:
         """Return the state of the input: its newest fault for a while, else a message."""

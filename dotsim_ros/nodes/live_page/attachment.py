@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
@@ -28,7 +27,8 @@ from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.live.desk import LiveDesk
-from dotsim_ros.live.moments import Picture, Scene, SkinMoment, rate_hz_of
+from dotsim_ros.live.moments import Picture, Scene, SkinMoment
+from dotsim_ros.nodes.common.counters import RateMeter
 from dotsim_ros.nodes.common.ingest import Fault
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.profiles import PROFILES
@@ -77,7 +77,8 @@ class LiveAttachment(WorkingNode):
         self._depth_stamp_ns: int | None = None
         self._rest_stamp_ns: int | None = None
         self._rest_depth_m: Any = None
-        self._heard_s: deque[float] = deque()
+        self._rate = RateMeter(RATE_WINDOW_S)
+        self._heard_s: float | None = None
         self._is_asked = False
         self._base_frame = BASE_FRAME
         self._fault_count: int | None = None
@@ -120,18 +121,14 @@ class LiveAttachment(WorkingNode):
             )
         )
 
-    def choose_sensor(self, name: str) -> None:
-        raise ValueError(f"sensor {name} is the node's own: set it when the node is started")
-
-    def choose_indenter(self, name: str) -> None:
+    def choose(self, what: str, name: str) -> None:
+        if what != "indenter":
+            raise ValueError(f"{what} {name} is the node's own: set it when the node is started")
         self._need(self._set, "parameters")
         change = Parameter("indenter", value=name).to_parameter_msg()
         answer = self._set.call_async(SetParametersAtomically.Request(parameters=[change]))
         answer.add_done_callback(partial(self._on_set, name))
         self._desk.tell_state(busy=f"the node prepares {name}")
-
-    def choose_profile(self, name: str) -> None:
-        raise ValueError(f"profile {name} is the node's own: set it when the node is started")
 
     def reset(self) -> None:
         self._need(self._reset, "service reset")
@@ -164,8 +161,8 @@ class LiveAttachment(WorkingNode):
             self._is_asked = True
             answer = self._get.call_async(GetParameters.Request(names=["indenter"]))
             answer.add_done_callback(self._on_indenter)
-        if self._heard_s and now_s - self._heard_s[-1] > RATE_WINDOW_S:
-            self._heard_s.clear()
+        if self._heard_s is not None and now_s - self._heard_s > RATE_WINDOW_S:
+            self._heard_s = None
             self._desk.tell_state(
                 can_press=False, busy=WAITING.format(topic=self.resolve_topic_name("points"))
             )
@@ -211,11 +208,10 @@ class LiveAttachment(WorkingNode):
             self._rest_stamp_ns = stamp_ns
             self._learn_rest_depth()
         now_s = time.monotonic()
-        self._heard_s.append(now_s)
-        while now_s - self._heard_s[0] > RATE_WINDOW_S:
-            self._heard_s.popleft()
-        if len(self._heard_s) == 1:
+        self._rate.note(now_s)
+        if self._heard_s is None:
             self._desk.tell_state(can_press=True, busy="")
+        self._heard_s = now_s
         self._desk.show_skin(
             SkinMoment(
                 stamp_ns,
@@ -223,7 +219,7 @@ class LiveAttachment(WorkingNode):
                 self._force_n,
                 self._torque_nm,
                 self._pose,
-                rate_hz=rate_hz_of(self._heard_s),
+                rate_hz=self._rate.rate_hz(now_s) or None,
             )
         )
 

@@ -22,15 +22,17 @@ import numpy as np
 
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import Float32Array
 from dotsim_ros.live.desk import LiveDesk
-from dotsim_ros.live.moments import Picture, Scene, SkinMoment, rate_hz_of
+from dotsim_ros.live.moments import Picture, Scene, SkinMoment
+from dotsim_ros.nodes.common.counters import RateMeter
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.active_profile import Rung, ladder_of
 from dotsim_ros.nodes.tactile_sim.motion import HELD_MOTIONS, MotionOrder
 from dotsim_ros.nodes.tactile_sim.profiles import PROFILES, REALTIME
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
 from dotsim_ros.optics.depth import DepthConversion
-from dotsim_ros.sensor import FRAME_S, Frame, TactileSensor
+from dotsim_ros.sensor import FRAME_S, TactileSensor
 from dotsim_ros.specification import SensorSpecification
 
 START_HEIGHT_M = 2e-3
@@ -38,38 +40,18 @@ START_HEIGHT_M = 2e-3
 RATE_WINDOW_S = 2.0
 STOP_S = 5.0
 
-
-@dataclass(frozen=True)
-class _Ordered:
-    pose: Pose | None
-    number: int
+Ordered = tuple[Pose | None, int]
+"""A pose, or None for away, and the number of its order."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """What the camera's thread is to show."""
+    """What the camera's thread is to show, and how: of the depth, what it is at rest."""
 
     moment: SensorMoment
-    shown: SkinMoment
-    depths: _Depths
-
-
-class _Depths:
-    """Depth of the frames of one sensor, along its optical axis.
-
-    Args:
-        sensor: at rest.
-        rest: its frame at rest.
-    """
-
-    def __init__(self, sensor: TactileSensor, rest: Frame) -> None:
-        self._conversion = DepthConversion(sensor.camera)
-        self._rest_m = self._conversion.axial_m(rest.depth_m)
-
-    def picture(self, stamp_ns: int, frame: Frame) -> Picture:
-        """Return what a page shows of a frame."""
-        depth_m = self._conversion.axial_m(frame.depth_m)
-        return Picture(stamp_ns, frame.image, depth_m, self._rest_m)
+    stamp_ns: int
+    conversion: DepthConversion
+    rest_depth_m: Float32Array
 
 
 class SimulatedSubject:
@@ -106,12 +88,12 @@ class SimulatedSubject:
         self.profiles = _profiles_of(sensors[sensor], profile)
         self._wake = threading.Condition()
         self._is_stopping = False
-        self._ordered: deque[_Ordered] = deque(maxlen=HELD_MOTIONS)
+        self._ordered: deque[Ordered] = deque(maxlen=HELD_MOTIONS)
         self._jobs: deque[Callable[[], None]] = deque()
         self._seen: _Seen | None = None
         self._number = 0
         self._spent_s: float | None = None
-        self._frame_times_s: deque[float] = deque()
+        self._rate = RateMeter(RATE_WINDOW_S)
         self._is_new_start, self._is_behind = True, False
         self._is_late = False
         self._threads = [
@@ -139,20 +121,19 @@ class SimulatedSubject:
         with self._wake:
             if pose is None:
                 self._ordered.clear()
-            self._ordered.append(_Ordered(pose, number))
+            self._ordered.append((pose, number))
             self._wake.notify_all()
 
-    def choose_sensor(self, name: str) -> None:
-        self._do(lambda: self._change_sensor(name))
-
-    def choose_indenter(self, name: str) -> None:
-        self._do(lambda: self._change_indenter(name))
-
-    def choose_profile(self, name: str) -> None:
-        self._do(lambda: self._change_profile(name))
+    def choose(self, what: str, name: str) -> None:
+        change = {
+            "sensor": self._change_sensor,
+            "indenter": self._change_indenter,
+            "profile": self._change_profile,
+        }[what]
+        self._do(lambda: change(name))
 
     def reset(self) -> None:
-        self._do(self._restart)
+        self._do(lambda: self.move(None, self._number))
 
     def _do(self, job: Callable[[], None]) -> None:
         with self._wake:
@@ -200,7 +181,8 @@ class SimulatedSubject:
         sensor = TactileSensor(specification, indenter=self._indenter)
         session = SensorSession(sensor, first_dt_s=self._frame_s, limit_m=rung.profile.move_m)
         session.warm_up()
-        self._depths = _Depths(sensor, session.moment.render())
+        self._conversion = DepthConversion(sensor.camera)
+        self._rest_depth_m = self._conversion.axial_m(session.moment.render().depth_m)
         self._sensor, self._session, self._name = sensor, session, name
         self.profiles = _profiles_of(self.sensors[name], self._profile)
         self._is_new_start, self._is_behind = True, False
@@ -209,8 +191,7 @@ class SimulatedSubject:
             # Poses that the sensor before was to show.
             self._ordered.clear()
         # Before a page may press: its first order must not be overwritten.
-        start_m = self._sensor.skin.apex_m + np.array([0.0, 0.0, START_HEIGHT_M])
-        self.move(Pose(start_m), 0)
+        self._move_to_start(0)
         self._desk.tell_state(
             busy="",
             can_press=True,
@@ -220,11 +201,14 @@ class SimulatedSubject:
             profile=self._profile,
         )
 
+    def _move_to_start(self, number: int) -> None:
+        self.move(Pose(self._sensor.skin.apex_m + np.array([0.0, 0.0, START_HEIGHT_M])), number)
+
     def _show_scene(self) -> None:
         skin = self._sensor.skin
         self._desk.show_scene(Scene(skin.rest_position_m, skin.triangles, self._indenter))
 
-    def _awaited(self, due_s: float) -> tuple[Callable[[], None] | None, list[_Ordered]]:
+    def _awaited(self, due_s: float) -> tuple[Callable[[], None] | None, list[Ordered]]:
         """Wait for a job, or until a frame is due and there is something to show."""
         with self._wake:
             while not self._is_stopping:
@@ -245,7 +229,7 @@ class SimulatedSubject:
         """Return whether the next frame differs from this one though nothing was ordered."""
         return self._is_behind or self._sensor.remembers
 
-    def _frame(self, ordered: Sequence[_Ordered]) -> None:
+    def _frame(self, ordered: Sequence[Ordered]) -> None:
         begun_s = time.monotonic()
         try:
             moment = self._moment(ordered)
@@ -253,9 +237,7 @@ class SimulatedSubject:
             self._is_behind = False
             self._desk.tell(error)
             return
-        self._frame_times_s.append(begun_s)
-        while begun_s - self._frame_times_s[0] > RATE_WINDOW_S:
-            self._frame_times_s.popleft()
+        self._rate.note(begun_s)
         gel = moment.gel
         shown = SkinMoment(
             time.time_ns(),
@@ -265,42 +247,38 @@ class SimulatedSubject:
             moment.pose,
             number=self._number,
             spent_s=self._spent_s,
-            rate_hz=rate_hz_of(self._frame_times_s),
+            rate_hz=self._rate.rate_hz(begun_s) or None,
             is_converged=gel.converged,
             is_behind=self._is_behind,
         )
         self._desk.show_skin(shown)
         with self._wake:
-            self._seen = _Seen(moment, shown, self._depths)
+            self._seen = _Seen(moment, shown.stamp_ns, self._conversion, self._rest_depth_m)
             self._wake.notify_all()
 
-    def _moment(self, ordered: Sequence[_Ordered]) -> SensorMoment:
+    def _moment(self, ordered: Sequence[Ordered]) -> SensorMoment:
         """Return the moment of the next frame.
 
         Raises:
             RefusedInputError: the gel refuses a pose, or could not be solved.
         """
         before = self._session.behind
-        for order in ordered:
-            self._number = order.number
-            if order.pose is None:
+        for pose, self._number in ordered:
+            if pose is None:
                 self._session.reset()
                 self._is_new_start = True
                 continue
             try:
                 # Refused here, the gel keeps what presses it now.
-                self._sensor.check_depth(order.pose)
+                self._sensor.check_depth(pose)
             except ValueError as error:
                 raise RefusedInputError(Fault.GEL, str(error)) from error
             start = Fault.RESTART if self._is_new_start else None
-            self._session.order(MotionOrder(order.pose, time.monotonic_ns(), start))
+            self._session.order(MotionOrder(pose, time.monotonic_ns(), start))
             self._is_new_start = False
         moment = self._session.advance()
         self._is_behind = self._session.behind > before
         return moment
-
-    def _restart(self) -> None:
-        self.move(None, self._number)
 
     def _rung(self, sensor: str, profile: str) -> Rung:
         return ladder_of(profile, self.sensors[sensor])[0]
@@ -328,9 +306,8 @@ class SimulatedSubject:
         self._indenter = indenter
         self._show_scene()
         self._desk.tell_state(indenter=name)
-        start_m = self._sensor.skin.apex_m + np.array([0.0, 0.0, START_HEIGHT_M])
         self._is_new_start = True
-        self.move(Pose(start_m), self._number)
+        self._move_to_start(self._number)
 
     def _change_profile(self, name: str) -> None:
         if name == self._profile:
@@ -361,7 +338,8 @@ class SimulatedSubject:
             begun_s = time.monotonic()
             frame = seen.moment.render()
             self._spent_s = sum(frame.timings_s.values())
-            self._desk.show_picture(seen.depths.picture(seen.shown.stamp_ns, frame))
+            depth_m = seen.conversion.axial_m(frame.depth_m)
+            self._desk.show_picture(Picture(seen.stamp_ns, frame.image, depth_m, seen.rest_depth_m))
             if self._is_late:
                 spent_s = time.monotonic() - begun_s
                 with self._wake:

@@ -24,7 +24,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 import msg_adapters
-from dotsim_ros.nodes.common.log_folder import prepare_log_folder
+from dotsim_ros.nodes.common.arguments import prepare_log_folder
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.simulated_time.participant import StepParticipant
 

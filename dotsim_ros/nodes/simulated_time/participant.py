@@ -25,7 +25,7 @@ from dotsim_ros.nodes.simulated_time.protocol import (
     Sent,
     Step,
     decode_step,
-    encode_answer,
+    encode,
 )
 from msg_adapters import serialized_stamp_ns
 
@@ -105,7 +105,7 @@ class StepParticipant:
             before = self._sent.get(topic)
             if before is None or before.publisher != sent.publisher:
                 early = [number for _, held, number, _ in self._held if held == topic]
-                self._newest[topic] = max(sent.count, *early, 0)
+                self._newest[topic] = max(sent.total, *early, 0)
             self._sent[topic] = sent
         self._take_step()
 
@@ -118,15 +118,15 @@ class StepParticipant:
             hear()
         self._go(step.time_ns)
         self._answers.publish(
-            encode_answer(Answer(step.time_ns, Kind.DONE, self._name, self._life, self._changed()))
+            encode(Answer(step.time_ns, Kind.DONE, self._name, self._life, self._changed()))
         )
 
     def _waits(self) -> str:
         """Return what was sent before the step and has not come, in words; empty for nothing."""
         for topic, sent in self._step.sent.items() if self._step is not None else ():
             newest = self._newest.get(topic, 0)
-            if topic in self._subscriptions and newest < sent.count:
-                return f"message {sent.count} of {topic}, {newest} came last"
+            if topic in self._subscriptions and newest < sent.total:
+                return f"message {sent.total} of {topic}, {newest} came last"
         return ""
 
     def _due(self) -> list[Hear]:
@@ -136,7 +136,7 @@ class StepParticipant:
         for each in self._held:
             _, topic, number, _ = each
             sent = self._sent.get(topic)
-            (due if sent is None or number <= sent.count else early).append(each)
+            (due if sent is None or number <= sent.total else early).append(each)
         self._held = early
         return [each[3] for each in sorted(due, key=lambda each: each[:3])]
 
@@ -158,7 +158,7 @@ class StepParticipant:
             read={topic: each.get_publisher_count() for topic, each in subscriptions},
             waits=self._waits(),
         )
-        self._answers.publish(encode_answer(answer))
+        self._answers.publish(encode(answer))
 
 
 def stamp_of(message: Any) -> int:

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from types import MappingProxyType
+from typing import NamedTuple
 
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
@@ -39,26 +39,23 @@ class Kind(StrEnum):
     DONE = "done"
 
 
-@dataclass(frozen=True)
-class Sent:
+class Sent(NamedTuple):
     """How many messages a publisher, the life of a node, has sent on a topic since it began."""
 
     publisher: str
-    count: int
+    total: int
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """What the stepper says: the time to go to or, for a call, where it is; and by topic, what has
     been sent since the step before."""
 
     time_ns: int
     kind: Kind
-    sent: Mapping[str, Sent] = field(default_factory=dict)
+    sent: Mapping[str, Sent] = MappingProxyType({})
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What a participant says.
 
     Attributes:
@@ -74,16 +71,16 @@ class Answer:
     kind: Kind
     name: str
     life: str
-    sent: Mapping[str, int] = field(default_factory=dict)
-    readers: Mapping[str, int] = field(default_factory=dict)
-    read: Mapping[str, int] = field(default_factory=dict)
+    sent: Mapping[str, int] = MappingProxyType({})
+    readers: Mapping[str, int] = MappingProxyType({})
+    read: Mapping[str, int] = MappingProxyType({})
     waits: str = ""
 
 
-def encode_step(step: Step) -> String:
-    """Return the message of a step."""
-    sent = {topic: [each.publisher, each.count] for topic, each in step.sent.items()}
-    return _encode([step.time_ns, step.kind, sent])
+def encode(said: Step | Answer) -> String:
+    """Return the message of a step or an answer."""
+    parts = [dict(part) if isinstance(part, Mapping) else part for part in said]
+    return String(data=json.dumps(parts, separators=(",", ":")))
 
 
 def decode_step(message: String) -> Step:
@@ -103,14 +100,6 @@ def decode_step(message: String) -> Step:
         raise _strange(message, error) from None
 
 
-def encode_answer(answer: Answer) -> String:
-    """Return the message of an answer."""
-    parts: list[Any] = [dict(answer.sent)]
-    if answer.kind is Kind.PRESENT:
-        parts += [dict(answer.readers), dict(answer.read), answer.waits]
-    return _encode([answer.time_ns, answer.kind, answer.name, answer.life, *parts])
-
-
 def decode_answer(message: String) -> Answer:
     """Return an answer.
 
@@ -118,15 +107,13 @@ def decode_answer(message: String) -> Answer:
         ValueError: it is none.
     """
     try:
-        time_ns, kind, name, life, *parts = json.loads(message.data)
-        counts: list[Any] = [{str(topic): int(n) for topic, n in p.items()} for p in parts[:3]]
-        return Answer(int(time_ns), Kind(kind), str(name), str(life), *counts, *parts[3:])
+        time_ns, kind, name, life, *counted, waits = json.loads(message.data)
+        sent, readers, read = ({topic: int(n) for topic, n in each.items()} for each in counted)
+        return Answer(
+            int(time_ns), Kind(kind), str(name), str(life), sent, readers, read, str(waits)
+        )
     except UNREADABLE as error:
         raise _strange(message, error) from None
-
-
-def _encode(content: list[Any]) -> String:
-    return String(data=json.dumps(content, separators=(",", ":")))
 
 
 def _strange(message: String, error: Exception) -> ValueError:

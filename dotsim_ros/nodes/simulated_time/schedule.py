@@ -12,7 +12,6 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 ROUNDING_S = 1e-9
@@ -35,23 +34,6 @@ class PacedWork(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class PeriodicWork:
-    """Work at the deadlines of a `FramePace` that may be replaced meanwhile."""
-
-    pace: Callable[[], Any]
-    act: Callable[[], None]
-
-    def deadline_s(self) -> float:
-        """Return when it is due."""
-        return float(self.pace().deadline_s())
-
-    def run(self, now_s: float) -> None:
-        """Do it."""
-        self.pace().begin(now_s)
-        self.act()
-
-
 class SimulatedSchedule:
     """A node's work in simulated time, counted in seconds from the first time of its clock.
 
@@ -72,20 +54,22 @@ class SimulatedSchedule:
         heapq.heappush(self._due, (due_s, self._number, act))
         self._number += 1
 
-    def pace(self, work: PacedWork) -> Callable[[], None]:
-        """Do work at each of its deadlines; return what ends that."""
+    def pace(
+        self, deadline_s: Callable[[], float], run: Callable[[float], None]
+    ) -> Callable[[], None]:
+        """Run at each deadline, the first of which comes next; return what ends that."""
         is_over = False
 
         def act() -> None:
             if not is_over:
-                work.run(self.now_s)
-                self.at(work.deadline_s(), act)
+                run(self.now_s)
+                self.at(deadline_s(), act)
 
         def end() -> None:
             nonlocal is_over
             is_over = True
 
-        self.at(work.deadline_s(), act)
+        self.at(deadline_s(), act)
         return end
 
     def every(self, period_s: float, act: Callable[[], None]) -> None:

@@ -34,7 +34,7 @@ from dotsim_ros.nodes.simulated_time.protocol import (
     Sent,
     Step,
     decode_answer,
-    encode_step,
+    encode,
 )
 from dotsim_ros.nodes.simulated_time.publication_watch import PublicationWatch
 
@@ -171,7 +171,7 @@ class Stepper:
         while True:
             with self._changed:
                 self._lives.clear()
-            self._steps.publish(encode_step(Step(self.time_ns, Kind.CALL)))
+            self._steps.publish(encode(Step(self.time_ns, Kind.CALL)))
             with self._changed:
                 self._changed.wait_for(self._all_are_present, CALL_EVERY_S)
                 self._check_cancelled()
@@ -210,7 +210,7 @@ class Stepper:
             step = Step(self.time_ns, Kind.STEP, {**self._news, **heard})
             self._news = {}
         self._publish_clock()
-        self._steps.publish(encode_step(step))
+        self._steps.publish(encode(step))
         self._wait()
 
     def advance(self, duration_s: float, progress: Callable[[float], None] | None = None) -> None:
@@ -259,7 +259,7 @@ class Stepper:
                     self._look(late)
                     if late:
                         # What they answer says what they wait for.
-                        self._steps.publish(encode_step(Step(self.time_ns, Kind.CALL)))
+                        self._steps.publish(encode(Step(self.time_ns, Kind.CALL)))
                     self.waiting_for = late if now_s - begun_s > LOOK_EVERY_S else ""
                 if not late:
                     return
@@ -348,8 +348,8 @@ class Stepper:
         topic = self._resolved(question)
         other = self._watches.get(topic)
         if other is not None:
-            return other.sent.count
-        return self._sent[topic].count if topic in self._sent else 0
+            return other.sent.total
+        return self._sent[topic].total if topic in self._sent else 0
 
     def _all_are_present(self) -> bool:
         return self._is_cancelled or all(

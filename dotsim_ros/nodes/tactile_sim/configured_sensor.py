@@ -19,7 +19,6 @@ from pathlib import Path
 from threading import RLock
 from typing import Any
 
-import numpy as np
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
@@ -28,7 +27,7 @@ from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.nodes.common.clock_watch import ClockJump
-from dotsim_ros.nodes.common.ingest import FaultLog
+from dotsim_ros.nodes.common.health import Report, statuses_of
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.simulated_time.latency import Latency
@@ -36,7 +35,7 @@ from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of, make_active_p
 from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
 from dotsim_ros.nodes.tactile_sim.external_wrench import ENTITY_WRENCH, ExternalWrenches
 from dotsim_ros.nodes.tactile_sim.force_drive import ForceDrive
-from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, lag_text, statuses
+from dotsim_ros.nodes.tactile_sim.health import FrameCounter, gel_report, lag_text
 from dotsim_ros.nodes.tactile_sim.motion import (
     NANOSECONDS_PER_SECOND,
     MotionOrder,
@@ -53,7 +52,7 @@ from dotsim_ros.specification import NoiseSpecification, SensorSpecification, lo
 from msg_adapters import Level, Status, message_class
 
 FRAMES_BROKEN = "the loop of frames failed"
-MISSING_INPUT_LOG_S = 5.0
+FORCE_LOG_S = 5.0
 
 
 class ConfiguredSensor:
@@ -115,7 +114,7 @@ class ConfiguredSensor:
             [0.5 * time_of.exposure_s + delay_s for delay_s in time_of.image_latency_s],
             seed=time_of.latency_seed,
         )
-        self._counter, self._faults = FrameCounter(), FaultLog()
+        self._counter = FrameCounter()
         self._motions = MotionQueue()
         self._frame_ns: int | None = None
         self._pace = self._new_pace()
@@ -130,7 +129,6 @@ class ConfiguredSensor:
         self._input = MotionInput(
             node,
             settings,
-            faults=self._faults,
             on_motion=self._motions.put if self._is_realtime else self._lockstep_frame,
         )
         self._external_wrenches = ExternalWrenches(
@@ -296,47 +294,50 @@ class ConfiguredSensor:
     def _health(self) -> list[Status]:
         # Not under the lock: poses would wait here until a frame ends, and the next frame would
         # begin with an old one.
-        missing = self._input.missing()
-        if missing:
-            self._node.get_logger().warning(
-                f"input: {missing}", throttle_duration_sec=MISSING_INPUT_LOG_S
-            )
-        lag_m, maximum_lag_m = (
-            self._session.take_largest_lag_m(),
-            self.settings.motion.maximum_lag_m,
+        now_s = self._node.now_s()
+        reports = {
+            "frames": self._frames_report(now_s),
+            "input": self._input.report(),
+            "gel": gel_report(self._session.moment.gel, self._effect_names, self._counter, now_s),
+        }
+        if self._drive is not None:
+            reports["force"] = level, message, _ = self._drive.report()
+            if level is Level.WARN:
+                self._node.get_logger().warning(
+                    f"force: {message}", throttle_duration_sec=FORCE_LOG_S
+                )
+        namespace = self._node.get_namespace().strip("/")
+        hardware_id = f"{namespace}/{self.settings.sensor.sensor}".strip("/")
+        return statuses_of(self._node.label, hardware_id, reports)
+
+    def _frames_report(self, now_s: float) -> Report:
+        rate, dropped = self._counter.rate, self._pace.dropped
+        lag_m = self._session.take_largest_lag_m()
+        values = {
+            "frames": str(rate.count),
+            "rate_hz": f"{rate.rate_hz(now_s):.2f}",
+            "dropped": str(dropped),
+            "late": str(self._pace.late + self._session.behind),
+            "lag_m": f"{lag_m:.6f}",
+            **self._profile.values(),
+            **{f"{part}_p95_ms": f"{ms:.2f}" for part, ms in self._counter.p95_ms().items()},
+        }
+        lag = ""
+        if lag_m > self.settings.motion.maximum_lag_m:
+            lag = lag_text(lag_m, self.settings.motion.maximum_lag_m)
+            self._node.get_logger().warning(lag, once=True)
+        is_too_slow = self._is_realtime and 0.0 < 0.01 * rate.count < dropped
+        warnings = (
+            "" if self._is_active else "inactive: activate the node to continue",
+            "" if self._is_enabled else "disabled: call set_enabled to continue",
+            self._node.clock_silence(),
+            self._outputs.rivals(),
+            "frames are dropped: the machine is too slow for this rate" if is_too_slow else "",
+            lag,
         )
-        if lag_m > maximum_lag_m:
-            self._node.get_logger().warning(lag_text(lag_m, maximum_lag_m), once=True)
-        force = None if self._drive is None else self._drive.report()
-        if force is not None and force[0] is Level.WARN:
-            self._node.get_logger().warning(
-                f"force: {force[1]}", throttle_duration_sec=MISSING_INPUT_LOG_S
-            )
-        return statuses(
-            self._node.label,
-            f"{self._node.get_namespace().strip('/')}/{self.settings.sensor.sensor}".strip("/"),
-            condition=Condition(
-                is_active=self._is_active,
-                is_enabled=self._is_enabled,
-                silence_s=self._input.silence_s(),
-                missing_input=missing,
-                timeout_s=self.settings.motion.input_timeout_s if self._is_realtime else np.inf,
-                is_realtime=self._is_realtime,
-                late=self._pace.late + self._session.behind,
-                dropped=self._pace.dropped,
-                lag_m=lag_m,
-                maximum_lag_m=maximum_lag_m,
-                profile=self._profile.values(),
-                clock_silence=self._node.clock_silence(),
-                rivals=self._outputs.rivals(),
-            ),
-            counter=self._counter,
-            faults=self._faults,
-            gel=self._session.moment.gel,
-            effects=self._effect_names,
-            force=force,
-            now_s=self._node.now_s(),
-        )
+        for warning in filter(None, warnings):
+            return Level.WARN, warning, values
+        return Level.OK, "running", values
 
     def _forget_motion(self) -> None:
         self._motions.take()

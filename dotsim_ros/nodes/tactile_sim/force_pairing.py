@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from threading import Lock
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -82,20 +81,8 @@ def checked_force(
     return ForceOrder(force_n, stamp_ns, frame_id == indenter_frame)
 
 
-Order = TypeVar("Order", MotionOrder, ForceOrder)
-
-
-@dataclass(frozen=True)
-class _Held(Generic[Order]):
-    """What waits, and how often time had begun again on its topic."""
-
-    order: Order
-    epoch: int
-
-    @property
-    def time(self) -> tuple[int, int]:
-        """Return its place in time, across new beginnings."""
-        return self.epoch, self.order.stamp_ns
+Time = tuple[int, int]
+"""How often time had begun again on a topic, and a stamp (ns)."""
 
 
 class ForcePairing:
@@ -120,8 +107,8 @@ class ForcePairing:
     def forget(self) -> None:
         """Begin again: nothing is held, and the next stamps may be any."""
         with self._lock:
-            self._motions: deque[_Held[MotionOrder]] = deque()
-            self._forces: deque[_Held[ForceOrder]] = deque(maxlen=HELD_COUNT)
+            self._motions: deque[tuple[Time, MotionOrder]] = deque()
+            self._forces: deque[tuple[Time, ForceOrder]] = deque(maxlen=HELD_COUNT)
             self._motion_epoch = self._force_epoch = 0
             self._last_force_ns: int | None = None
             self._valid: ForceOrder | None = None
@@ -153,7 +140,7 @@ class ForcePairing:
                         "each",
                     )
             self._last_force_ns = force.stamp_ns
-            self._forces.append(_Held(force, self._force_epoch))
+            self._forces.append(((self._force_epoch, force.stamp_ns), force))
 
     def put_motion(self, motion: MotionOrder) -> None:
         """Take a motion, to be paired.
@@ -170,7 +157,7 @@ class ForcePairing:
                     f"{HELD_COUNT} poses wait for a force of their time or later: send forces on "
                     "indenter/wrench, stamped by the clock of the poses",
                 )
-            self._motions.append(_Held(motion, self._motion_epoch))
+            self._motions.append(((self._motion_epoch, motion.stamp_ns), motion))
 
     def next_pair(self) -> MotionOrder | None:
         """Return the next motion whose force is known, which holds from now on; None where there is
@@ -178,18 +165,19 @@ class ForcePairing:
         with self._lock:
             if not self._motions:
                 return None
-            due = self._motions[0].time
-            if not self._forces or self._forces[-1].time < due:
+            due, motion = self._motions[0]
+            if not self._forces or self._forces[-1][0] < due:
                 return None
-            while self._forces and self._forces[0].time <= due:
-                self._valid = self._forces.popleft().order
-            return self._motions.popleft().order
+            while self._forces and self._forces[0][0] <= due:
+                _, self._valid = self._forces.popleft()
+            self._motions.popleft()
+            return motion
 
     def take_newest(self) -> None:
         """Let the newest force hold from now on, whatever its stamp."""
         with self._lock:
             if self._forces:
-                self._valid = self._forces[-1].order
+                _, self._valid = self._forces[-1]
                 self._forces.clear()
 
     def weigh(self, pose: Pose) -> None:
@@ -212,4 +200,4 @@ class ForcePairing:
         with self._lock:
             if not self._motions:
                 return None
-            return len(self._motions), self._motions[0].order.stamp_ns
+            return len(self._motions), self._motions[0][1].stamp_ns

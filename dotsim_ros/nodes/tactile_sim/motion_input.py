@@ -22,6 +22,7 @@ from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.printable import cut
+from dotsim_ros.nodes.common.health import Report, fault_values, is_recent
 from dotsim_ros.nodes.common.ingest import (
     Fault,
     FaultLog,
@@ -49,6 +50,7 @@ from dotsim_ros.nodes.tactile_sim.parameters import (
     TactileSimParameters,
 )
 from dotsim_ros.nodes.tactile_sim.transform_input import TransformInput
+from msg_adapters import Level
 
 # A fifth of a second at 100 Hz, in which a busy machine may not get to read: the indenter follows
 # the path of all poses. More would delay a faster stream.
@@ -57,6 +59,7 @@ REALTIME_QOS = QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE)
 REALTIME_PAUSE_S = 0.001
 # Every one counts: nothing is overwritten before it is simulated.
 LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+MISSING_LOG_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -80,8 +83,10 @@ class MotionInput:
     Args:
         node: owns the subscriptions.
         parameters: frames, input, clock and limits.
-        faults: counts what is refused.
         on_motion: takes each valid motion; may refuse it by RefusedInputError.
+
+    Attributes:
+        faults: counts what is refused.
 
     Raises:
         ValueError: the messages of the pose's source are not installed.
@@ -92,12 +97,11 @@ class MotionInput:
         node: WorkingNode,
         parameters: TactileSimParameters,
         *,
-        faults: FaultLog,
         on_motion: Callable[[MotionOrder], None],
     ) -> None:
         self._node = node
         self._parameters = parameters
-        self._faults = faults
+        self.faults = FaultLog()
         self._on_motion = on_motion
         self._lock = Lock()
         self._time_restart = TimeRestart()
@@ -143,16 +147,32 @@ class MotionInput:
             kind = TwistStamped if parameters.motion.twist_message == TWIST_STAMPED else Twist
             self._subscribe(kind, "indenter/twist", self._hear_twist)
 
-    def silence_s(self) -> float | None:
-        """Return for how long no input has come; None before the first."""
-        return self._arbiter.silence_s(self._node.now_s())
+    def report(self) -> Report:
+        """Return the state of the input, for the diagnostics; what is missing is logged, too."""
+        now_s, timeout_s = self._node.now_s(), self._parameters.motion.input_timeout_s
+        silence_s = self._arbiter.silence_s(now_s)
+        values = {
+            "silence_s": "none received" if silence_s is None else f"{silence_s:.2f}",
+            **fault_values(self.faults),
+        }
+        missing = "" if now_s - self._started_s < timeout_s else self._missing()
+        if missing:
+            self._node.get_logger().warning(
+                f"input: {missing}", throttle_duration_sec=MISSING_LOG_S
+            )
+        if is_recent(self.faults, now_s):
+            return Level.WARN, self.faults.last_reason, values
+        if missing:
+            return Level.WARN, missing, values
+        if silence_s is None:
+            return Level.OK, "no input so far", values
+        if self._is_realtime and silence_s > timeout_s:
+            return Level.WARN, f"no input for {silence_s:.1f} s: the last frame holds", values
+        return Level.OK, "input is valid", values
 
-    def missing(self) -> str:
-        """Return why there can be no pose, or which force has not come, in words, once there should
-        have been one; empty where nothing is known to be wrong."""
-        waited_s = self._node.now_s() - self._started_s
-        if waited_s < self._parameters.motion.input_timeout_s:
-            return ""
+    def _missing(self) -> str:
+        """Return why there can be no pose, or which force has not come, in words; empty where
+        nothing is known to be wrong."""
         missing = "" if self._transforms is None else self._transforms.missing()
         if not missing and self._forces is not None:
             missing = self._forces.missing()
@@ -258,7 +278,7 @@ class MotionInput:
 
     def _note(self, fault: Fault, reason: str) -> None:
         reason = cut(reason, LONGEST_REASON)
-        if self._faults.note(fault, reason, self._node.now_s()):
+        if self.faults.note(fault, reason, self._node.now_s()):
             self._node.get_logger().warning(f"input: {reason}")
 
     def _admit(self, name: str) -> None:
