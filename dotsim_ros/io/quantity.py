@@ -3,16 +3,22 @@
 
 """Fields of frozen data classes that say what they take: unit, range, default and meaning.
 
-A class lists its fields by `quantity` and calls `check_fields` when it is made, so that a value is
-checked in one place, whether a file or a program gives it.
+A class lists its fields by `quantity`, each with its meaning as a docstring below it, and calls
+`check_fields` when it is made, so that a value is checked in one place, whether a file or a program
+gives it.
 """
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import functools
+import inspect
 import math
 import numbers
+import textwrap
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, TypeVar
 
 from dotsim_ros.io.documents import value_text
@@ -30,7 +36,7 @@ class Quantity:
     """What is known of a field next to its default.
 
     Attributes:
-        help: what it is, in one line.
+        help: what it is, in one line; empty where the class says so below the field.
         unit: of its numbers; empty for none.
         low, high: smallest and largest number that it takes.
         excludes_low: whether a number must be larger than `low`.
@@ -40,7 +46,7 @@ class Quantity:
         fixed: when it cannot be changed any more, in words; None: as the class says of all fields.
     """
 
-    help: str
+    help: str = ""
     unit: str = ""
     low: float = math.nan
     high: float = math.nan
@@ -70,7 +76,7 @@ class Quantity:
         return f"{above}{number_text(self.low)} to {number_text(self.high)}"
 
 
-def quantity(default: Any, *, help: str, **known: Any) -> Any:
+def quantity(default: Any, **known: Any) -> Any:
     """Return a field of a data class; `known` as in `Quantity`.
 
     Its type is that of the default: true or false, a whole number, a number, a text, or a list of
@@ -79,11 +85,11 @@ def quantity(default: Any, *, help: str, **known: Any) -> Any:
     Raises:
         TypeError: a number without a range, or a type that no field has.
     """
-    found = Quantity(help, **known)
+    found = Quantity(**known)
     if not isinstance(default, bool | int | float | str | tuple):
         raise TypeError(f"no field can have the default {default!r}")
     if (isinstance(default, bool | str) or _is_texts(default)) == found.has_range:
-        raise TypeError(f"{help!r}: numbers, and only they, need both ends of a range")
+        raise TypeError(f"{default!r}: numbers, and only they, need both ends of a range")
     return dataclasses.field(default=default, metadata={_KEY: found})
 
 
@@ -98,6 +104,19 @@ def quantities_of(kind: type) -> dict[str, tuple[Any, Quantity]]:
         for field in dataclasses.fields(kind)
         if _KEY in field.metadata
     }
+
+
+@functools.cache
+def meanings_of(kind: type) -> dict[str, str]:
+    """Return what each field of a class is, in one line: the docstring below it in the source."""
+    (declared,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(declared, ast.ClassDef)
+    written = {
+        ast.unparse(field.target): " ".join(ast.literal_eval(text.value).split())
+        for field, text in pairwise(declared.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)
+    }
+    return {name: known.help or written[name] for name, (_, known) in quantities_of(kind).items()}
 
 
 def check_fields(section: str, instance: Any) -> None:
@@ -158,7 +177,7 @@ def field_table(kind: type) -> str:
     rows = ["| field | unit | range | default | what it is |", "|---|---|---|---|---|"]
     for name, (default, known) in quantities_of(kind).items():
         cells = (f"`{name}`", known.unit, _range_cell(default, known), _default_cell(default))
-        rows.append(f"| {' | '.join(cells)} | {known.help} |")
+        rows.append(f"| {' | '.join(cells)} | {meanings_of(kind)[name]} |")
     return "\n".join(rows) + "\n"
 
 

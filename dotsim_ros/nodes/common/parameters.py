@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from dotsim_ros.io.quantity import Quantity, quantities_of
+from dotsim_ros.io.quantity import Quantity, meanings_of, quantities_of
 
 Kind = TypeVar("Kind")
 
@@ -29,7 +29,10 @@ def known_parameters(kind: type) -> dict[str, tuple[Any, Quantity]]:
             found.update(known_parameters(type(field.default)))
     for name, (default, known) in quantities_of(kind).items():
         fixed = getattr(kind, "FIXED", FREE) if known.fixed is None else known.fixed
-        found[name] = (default, dataclasses.replace(known, fixed=fixed))
+        found[name] = (
+            default,
+            dataclasses.replace(known, help=meanings_of(kind)[name], fixed=fixed),
+        )
     return found
 
 
