@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,28 +21,6 @@ COEFFICIENT_COUNTS = {EQUIDISTANT: 4, PLUMB_BOB: 5}
 """Of the distortion models that a simulated camera has."""
 LARGEST_COEFFICIENT_COUNT = 14
 """Of OpenCV's models."""
-
-
-@dataclass(frozen=True)
-class CameraIntrinsics:
-    """Intrinsics of an equidistant fisheye, r = f * theta * (1 + k1 theta^2 + ... + k4 theta^8), or
-    of a pinhole with Brown's distortion.
-
-    Attributes:
-        width: image width in pixels.
-        height: image height in pixels.
-        focal_px: (2,) focal lengths fx, fy in pixels per radian at the optical axis.
-        principal_point_px: (2,) cx, cy.
-        distortion: (4,) k1 to k4 of "equidistant", or (5,) k1, k2, p1, p2, k3 of "plumb_bob".
-        distortion_model: either of these.
-    """
-
-    width: int
-    height: int
-    focal_px: NDArray[np.float64]
-    principal_point_px: NDArray[np.float64]
-    distortion: NDArray[np.float64]
-    distortion_model: str = EQUIDISTANT
 
 
 @dataclass(frozen=True)
@@ -92,8 +71,18 @@ class CameraCalibration:
                 "camera_matrix has no positive focal lengths; zeros mean an uncalibrated camera"
             )
 
+    @property
+    def focal_px(self) -> NDArray[np.float64]:
+        """(2,) focal lengths fx, fy; of a fisheye pixels per radian at the optical axis."""
+        return self.camera_matrix[[0, 1], [0, 1]]
 
-def encode_camera_info(
+    @property
+    def principal_point_px(self) -> NDArray[np.float64]:
+        """(2,) cx, cy."""
+        return self.camera_matrix[:2, 2]
+
+
+def calibration_of(
     *,
     width: int,
     height: int,
@@ -101,46 +90,49 @@ def encode_camera_info(
     principal_point_px: ArrayLike,
     distortion: ArrayLike,
     distortion_model: str = EQUIDISTANT,
-    stamp_ns: int,
-    frame_id: str,
-    types: MessageTypes = ROS,
-) -> Message:
-    """Return a sensor_msgs/CameraInfo; arguments as `CameraIntrinsics`.
+) -> CameraCalibration:
+    """Return the calibration of a camera whose images are not rectified.
+
+    Args:
+        width, height: of the image in pixels.
+        focal_px: fx and fy, or one for both.
+        principal_point_px: cx and cy.
+        distortion: k1 to k4 of an equidistant fisheye, r = f * theta * (1 + k1 theta^2 + ... +
+            k4 theta^8), or k1, k2, p1, p2, k3 of "plumb_bob", a pinhole with Brown's distortion.
+        distortion_model: either of these.
 
     Raises:
         ValueError: another distortion model or number of coefficients, a size or focal length that
             is not positive, or a number that is not finite.
     """
-    focal = finite_vector(np.broadcast_to(np.asarray(focal_px, dtype=float), (2,)), 2, "focal_px")
-    centre = finite_vector(principal_point_px, 2, "principal_point_px")
-    coefficients = finite_vector(distortion, _coefficient_count(distortion_model), "distortion")
-    if width <= 0 or height <= 0 or not (focal > 0.0).all():
-        raise ValueError(
-            f"camera of {width} x {height} pixels and focal length {focal.tolist()} px: all must "
-            "be positive"
-        )
-    camera_matrix = np.array(
-        [[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]]
-    )
-    calibration = CameraCalibration(
-        width=int(width),
-        height=int(height),
-        distortion_model=distortion_model,
-        distortion=coefficients,
-        camera_matrix=camera_matrix,
-        rectification=np.eye(3),
-        projection=np.hstack([camera_matrix, np.zeros((3, 1))]),
-    )
-    return encode_calibration(calibration, stamp_ns=stamp_ns, frame_id=frame_id, types=types)
-
-
-def _coefficient_count(distortion_model: str) -> int:
     if distortion_model not in COEFFICIENT_COUNTS:
         raise ValueError(
             f"distortion model {distortion_model!r} is not supported; expected one of "
             f"{', '.join(COEFFICIENT_COUNTS)}"
         )
-    return COEFFICIENT_COUNTS[distortion_model]
+    focal = finite_vector(np.broadcast_to(np.asarray(focal_px, dtype=float), (2,)), 2, "focal_px")
+    centre = finite_vector(principal_point_px, 2, "principal_point_px")
+    camera_matrix = np.array(
+        [[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]]
+    )
+    return CameraCalibration(
+        width=int(width),
+        height=int(height),
+        distortion_model=distortion_model,
+        distortion=finite_vector(distortion, COEFFICIENT_COUNTS[distortion_model], "distortion"),
+        camera_matrix=camera_matrix,
+        rectification=np.eye(3),
+        projection=np.hstack([camera_matrix, np.zeros((3, 1))]),
+    )
+
+
+def encode_camera_info(
+    *, stamp_ns: int, frame_id: str, types: MessageTypes = ROS, **camera: Any
+) -> Message:
+    """Return a sensor_msgs/CameraInfo; other arguments and errors as of `calibration_of`."""
+    return encode_calibration(
+        calibration_of(**camera), stamp_ns=stamp_ns, frame_id=frame_id, types=types
+    )
 
 
 def encode_calibration(
@@ -170,8 +162,8 @@ def encode_calibration(
     )
 
 
-def decode_calibration(message: Message) -> CameraCalibration:
-    """Return the calibration of a sensor_msgs/CameraInfo, of any model.
+def decode_camera_info(message: Message) -> CameraCalibration:
+    """Return the calibration in a sensor_msgs/CameraInfo, of any model.
 
     Raises:
         ValueError: as `CameraCalibration`.
@@ -184,33 +176,4 @@ def decode_calibration(message: Message) -> CameraCalibration:
         camera_matrix=np.array(message.k, dtype=np.float64),
         rectification=np.array(message.r, dtype=np.float64),
         projection=np.array(message.p, dtype=np.float64),
-    )
-
-
-def decode_camera_info(message: Message) -> CameraIntrinsics:
-    """Return the intrinsics of a sensor_msgs/CameraInfo.
-
-    Raises:
-        ValueError: another distortion model or number of coefficients, a matrix that is no
-            pinhole's, or a number that is not finite.
-    """
-    count = _coefficient_count(message.distortion_model)
-    coefficients = finite_vector(message.d, count, "distortion")
-    matrix = finite_vector(message.k, 9, "camera matrix").reshape(3, 3)
-    focal = np.array([matrix[0, 0], matrix[1, 1]])
-    skew_and_last_row = [matrix[0, 1], matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1.0]
-    if not (focal > 0.0).all() or np.any(skew_and_last_row):
-        raise ValueError(
-            f"camera matrix {matrix.tolist()} is no [fx 0 cx; 0 fy cy; 0 0 1] with positive focal "
-            "lengths; a CameraInfo of zeros means an uncalibrated camera"
-        )
-    if message.width <= 0 or message.height <= 0:
-        raise ValueError(f"camera of {message.width} x {message.height} pixels is empty")
-    return CameraIntrinsics(
-        width=int(message.width),
-        height=int(message.height),
-        focal_px=focal,
-        principal_point_px=matrix[:2, 2].copy(),
-        distortion=coefficients,
-        distortion_model=message.distortion_model,
     )

@@ -49,6 +49,14 @@ _CALL = re.compile(r"(\w+)\((.*)\)", re.DOTALL)
 _ARGUMENT = re.compile(r"(^|,)\s*(\w+)\s*=")
 
 AwayAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+_TURN_TO_Z = {
+    "+x": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+    "-x": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
+    "+y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "-y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "+z": np.eye(3),
+    "-z": np.diag([1.0, -1.0, -1.0]),
+}
 
 
 class IndenterKind(IntEnum):
@@ -454,22 +462,6 @@ def _warn_once(text: str) -> None:
     _log.warning(text)
 
 
-def _turn(away: str) -> FloatArray:
-    axis = np.zeros(3)
-    axis["xyz".index(away[1])] = 1.0 if away[0] == "+" else -1.0
-    up = np.array([0.0, 0.0, 1.0])
-    if away == "-z":
-        return np.diag([1.0, -1.0, -1.0])
-    cross = np.cross(axis, up)
-    skew = np.array(
-        [[0.0, -cross[2], cross[1]], [cross[2], 0.0, -cross[0]], [-cross[1], cross[0], 0.0]]
-    )
-    return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + axis @ up))
-
-
-_TURN_TO_Z = {name: _turn(name) for name in ("+x", "-x", "+y", "-y", "+z", "-z")}
-
-
 def _rounded(inner: FloatArray, radius: float) -> FloatArray:
     outside = np.linalg.norm(np.maximum(inner, 0.0), axis=1)
     return np.asarray(outside + np.minimum(inner.max(axis=1), 0.0) - radius)
@@ -560,12 +552,6 @@ _PRIMITIVE_DISTANCE: dict[IndenterKind, Callable[..., FloatArray]] = {
 }
 
 _FACTORIES: dict[str, Callable[..., Indenter]] = {
-    "sphere": sphere,
-    "box": box,
-    "box_edge": box_edge,
-    "flat_punch": flat_punch,
-    "lying_cylinder": lying_cylinder,
-    "capsule": capsule,
-    "cone": cone,
-    "torus": torus,
+    make.__name__: make
+    for make in (sphere, box, box_edge, flat_punch, lying_cylinder, capsule, cone, torus)
 }

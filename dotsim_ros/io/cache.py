@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 KEY_LENGTH = 24
 TABLES_LIMIT_BYTES = 4_000_000_000
 """What the tables of a folder may take together, some forty sensors."""
-GEL = ("geometry", "gel", "specification.py")
+GEL = ("geometry", "gel", "specification")
 """Source that decides what a gel answers."""
 PHYSICS = (*GEL, "effects", "sensor.py", "twin")
 """Source that decides where the skin goes and with what force."""

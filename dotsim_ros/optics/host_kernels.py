@@ -20,7 +20,9 @@ from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics.kernels import (
     CRACK_TOLERANCE,
     NO_TRIANGLE,
+    ImagePixels,
     Lens,
+    ViewPixels,
     inverse_corners,
     pixels_around,
 )
@@ -48,9 +50,12 @@ _NEAREST_IN_BOX = """
     const int count = triangle_seen.shape[0] * width;
     // What lies beyond may be another thread's.
     const int last_start = row_end * width - 8;
-    for (int row = y_first; row <= y_last; ++row) {
-        const int end = row * width + x_last + 1;
-        for (int first = row * width + x_first; first < end; first += 8) {
+    const auto& all = inverse.data[0];
+    const auto& to_b = inverse.data[1];
+    const auto& to_c = inverse.data[2];
+    for (int row = box[2]; row <= box[3]; ++row) {
+        const int end = row * width + box[1] + 1;
+        for (int first = row * width + box[0]; first < end; first += 8) {
             // The last lanes of the band start earlier, and leave out what lies before.
             const int start = first < last_start ? first : last_start;
             const flags place = start + number;
@@ -59,9 +64,9 @@ _NEAREST_IN_BOX = """
             const lanes y = *(const lanes*)(direction + count);
             const lanes z = *(const lanes*)(direction + 2 * count);
             // The weights sum to the inverse of the distance along the ray.
-            const lanes total = normal_all[0] * x + normal_all[1] * y + normal_all[2] * z;
-            const lanes weight_b = normal_b[0] * x + normal_b[1] * y + normal_b[2] * z;
-            const lanes weight_c = normal_c[0] * x + normal_c[1] * y + normal_c[2] * z;
+            const lanes total = all[0] * x + all[1] * y + all[2] * z;
+            const lanes weight_b = to_b[0] * x + to_b[1] * y + to_b[2] * z;
+            const lanes weight_c = to_c[0] * x + to_c[1] * y + to_c[2] * z;
             const lanes least = -crack_tolerance * total;
             const flags inside = (place >= first) & (place < end) & (total > 0.0f)
                 & (weight_b >= least) & (weight_c >= least)
@@ -88,14 +93,9 @@ _NEAREST_IN_BOX = """
 @wp.func_native(_NEAREST_IN_BOX)
 def nearest_in_box(
     face: int,
-    x_first: int,
-    x_last: int,
-    y_first: int,
-    y_last: int,
+    box: wp.vec4i,
     row_end: int,
-    normal_all: wp.vec3,
-    normal_b: wp.vec3,
-    normal_c: wp.vec3,
+    inverse: wp.mat33,
     crack_tolerance: float,
     no_triangle: int,
     ray: wp.array3d(dtype=wp.float32),
@@ -103,7 +103,8 @@ def nearest_in_box(
     barycentric: wp.array2d(dtype=wp.vec2),
     depth: wp.array2d(dtype=wp.float32),
 ):
-    """Note a triangle where it is nearer than what the box's rays have met so far.
+    """Note a triangle where it is nearer than what the rays of a box (first and last column, first
+    and last row) have met so far; the rows of `inverse` are those of `kernels.inverse_corners`.
 
     The lanes beyond the box get back what they held, up to the end of the row before `row_end`.
     """
@@ -142,14 +143,9 @@ def rasterize(
     normal_all, normal_b, normal_c = inverse_corners(position[i0], position[i1], position[i2])
     nearest_in_box(
         face,
-        x_first,
-        x_last,
-        y_first,
-        y_last,
+        wp.vec4i(x_first, x_last, y_first, y_last),
         row_end,
-        normal_all,
-        normal_b,
-        normal_c,
+        wp.matrix_from_rows(normal_all, normal_b, normal_c),
         CRACK_TOLERANCE,
         _NO_TRIANGLE,
         ray,
@@ -160,6 +156,8 @@ def rasterize(
 
 
 _FILL_ROW = """
+    // A copy stays in registers: what is written cannot change it.
+    const auto view = given;
     typedef float four __attribute__((vector_size(16)));
     const auto load = [](const wp::vec_t<3, float>& v) -> four {
         return four{v[0], v[1], v[2], 0.0f};
@@ -171,89 +169,56 @@ _FILL_ROW = """
     int loaded = no_triangle;
     four rest[3] = {};
     four outward[3] = {};
-    const int end = (row + 1) * triangle_seen.shape[1];
-    for (int at = end - triangle_seen.shape[1]; at < end; ++at) {
-        const int face = triangle_seen.data[at];
+    const int end = (row + 1) * view.triangle_seen.shape[1];
+    for (int at = end - view.triangle_seen.shape[1]; at < end; ++at) {
+        const int face = view.triangle_seen.data[at];
         if (face == no_triangle) {
-            store(nothing, normal.data[at]);
-            store(nothing, material_point.data[at]);
-            depth.data[at] = nothing[0];
-            barycentric.data[at] = wp::vec_t<2, float>(0.0f, 0.0f);
+            store(nothing, view.normal.data[at]);
+            store(nothing, view.material_point.data[at]);
+            view.depth.data[at] = nothing[0];
+            view.barycentric.data[at] = wp::vec_t<2, float>(0.0f, 0.0f);
             continue;
         }
         if (face != loaded) {
             loaded = face;
             for (int i = 0; i < 3; ++i) {
-                const int corner = triangles.data[3 * face + i];
-                rest[i] = load(rest_position.data[corner]);
-                outward[i] = load(vertex_normal.data[corner]);
+                const int corner = view.triangles.data[3 * face + i];
+                rest[i] = load(view.rest_position.data[corner]);
+                outward[i] = load(view.vertex_normal.data[corner]);
             }
             for (int i = 1; i < 3; ++i) {
                 rest[i] -= rest[0];
                 outward[i] -= outward[0];
             }
         }
-        const float b = barycentric.data[at][0];
-        const float c = barycentric.data[at][1];
-        store(rest[0] + b * rest[1] + c * rest[2], material_point.data[at]);
+        const float b = view.barycentric.data[at][0];
+        const float c = view.barycentric.data[at][1];
+        store(rest[0] + b * rest[1] + c * rest[2], view.material_point.data[at]);
         const four towards = outward[0] + b * outward[1] + c * outward[2];
         const four square = towards * towards;
-        const four along = towards * load(ray.data[at]);
+        const four along = towards * load(view.ray.data[at]);
         const float length = __builtin_sqrtf(square[0] + square[1] + square[2]);
         const bool away = along[0] + along[1] + along[2] > 0.0f;
-        store(towards / (away ? -length : length), normal.data[at]);
+        store(towards / (away ? -length : length), view.normal.data[at]);
     }
 """
 
 
 @wp.func_native(_FILL_ROW)
-def fill_row(
-    row: int,
-    no_triangle: int,
-    triangle_seen: wp.array2d(dtype=wp.int32),
-    ray: wp.array2d(dtype=wp.vec3),
-    triangles: wp.array2d(dtype=wp.int32),
-    vertex_normal: wp.array(dtype=wp.vec3),
-    rest_position: wp.array(dtype=wp.vec3),
-    normal: wp.array2d(dtype=wp.vec3),
-    material_point: wp.array2d(dtype=wp.vec3),
-    depth: wp.array2d(dtype=wp.float32),
-    barycentric: wp.array2d(dtype=wp.vec2),
-):
+def fill_row(row: int, no_triangle: int, given: ViewPixels):
     """Fill the pixels of a row."""
     ...
 
 
 @wp.kernel
-def fill_view(
-    triangle_seen: wp.array2d(dtype=wp.int32),
-    ray: wp.array2d(dtype=wp.vec3),
-    triangles: wp.array2d(dtype=wp.int32),
-    vertex_normal: wp.array(dtype=wp.vec3),
-    rest_position: wp.array(dtype=wp.vec3),
-    normal: wp.array2d(dtype=wp.vec3),
-    material_point: wp.array2d(dtype=wp.vec3),
-    depth: wp.array2d(dtype=wp.float32),
-    barycentric: wp.array2d(dtype=wp.vec2),
-):
+def fill_view(view: ViewPixels, row_first: int):
     """`kernels.fill_view`, the three parts of a vector at once."""
     row, _ = wp.tid()
-    fill_row(
-        row,
-        _NO_TRIANGLE,
-        triangle_seen,
-        ray,
-        triangles,
-        vertex_normal,
-        rest_position,
-        normal,
-        material_point,
-        depth,
-        barycentric,
-    )
+    fill_row(row_first + row, _NO_TRIANGLE, view)
 
 
 _WARP_ROW = """
+    const auto pixels = given;
     typedef float four __attribute__((vector_size(16), aligned(4), may_alias));
     typedef int levels __attribute__((vector_size(16)));
     const auto load = [](const wp::vec_t<3, float>& v) -> four {
@@ -271,39 +236,39 @@ _WARP_ROW = """
         const float positive = value > 0.0f ? value : 0.0f;
         return positive < largest ? positive : largest;
     };
-    const int fine_width = fine_flat.shape[1];
+    const int fine_width = pixels.fine_flat.shape[1];
     const int last_column = fine_width - 2;
-    const int last_row = fine_flat.shape[0] - 2;
+    const int last_row = pixels.fine_flat.shape[0] - 2;
     const float last_x = (float)(fine_width - 1);
-    const float last_y = (float)(fine_flat.shape[0] - 1);
+    const float last_y = (float)(pixels.fine_flat.shape[0] - 1);
     const four dark = {};
     const four full = dark + 255.0f;
     int loaded = no_triangle;
     wp::vec_t<2, float> back[3];
     four bright[3] = {};
-    const int width = triangle_seen.shape[1];
+    const int width = pixels.triangle_seen.shape[1];
     for (int x = 0; x < width; ++x) {
         const int at = y * width + x;
-        const int face = triangle_seen.data[at];
-        unsigned char* colour = image.data + 3 * at;
-        if (face == no_triangle || lit.data[at] == 0) {
-            for (int k = 0; k < 3; ++k) colour[k] = idle.data[3 * at + k];
+        const int face = pixels.triangle_seen.data[at];
+        unsigned char* colour = pixels.image.data + 3 * at;
+        if (face == no_triangle || pixels.lit.data[at] == 0) {
+            for (int k = 0; k < 3; ++k) colour[k] = pixels.idle.data[3 * at + k];
             continue;
         }
         if (face != loaded) {
             loaded = face;
             for (int i = 0; i < 3; ++i) {
-                const int corner = triangles.data[3 * face + i];
-                back[i] = rest_pixel.data[corner] - pixel.data[corner];
-                bright[i] = load(gain.data[corner]);
+                const int corner = pixels.triangles.data[3 * face + i];
+                back[i] = pixels.rest_pixel.data[corner] - pixels.pixel.data[corner];
+                bright[i] = load(pixels.gain.data[corner]);
             }
             for (int i = 1; i < 3; ++i) {
                 back[i] = back[i] - back[0];
                 bright[i] -= bright[0];
             }
         }
-        const float b = barycentric.data[at][0];
-        const float c = barycentric.data[at][1];
+        const float b = pixels.barycentric.data[at][0];
+        const float c = pixels.barycentric.data[at][1];
         const wp::vec_t<2, float> way = back[0] + b * back[1] + c * back[2];
         const float fine_x = within(2.0f * ((float)x + way[0]), last_x);
         const float fine_y = within(2.0f * ((float)y + way[1]), last_y);
@@ -312,11 +277,12 @@ _WARP_ROW = """
         const int row = (int)fine_y < last_row ? (int)fine_y : last_row;
         const float right = fine_x - (float)column;
         const float down = fine_y - (float)row;
-        const auto* sample = fine_flat.data + row * fine_width + column;
+        const auto* sample = pixels.fine_flat.data + row * fine_width + column;
         const four upper = between(sample, right);
         const four lower = between(sample + fine_width, right);
         const four brightness = bright[0] + b * bright[1] + c * bright[2];
-        four level = ((1.0f - down) * upper + down * lower) * brightness * vignetting.data[at];
+        four level = ((1.0f - down) * upper + down * lower) * brightness;
+        level = level * pixels.vignetting.data[at];
         level = level > dark ? level : dark;
         level = level < full ? level : full;
         const levels whole = __builtin_convertvector(level + 0.5f, levels);
@@ -326,54 +292,13 @@ _WARP_ROW = """
 
 
 @wp.func_native(_WARP_ROW)
-def warp_row(
-    y: int,
-    no_triangle: int,
-    triangle_seen: wp.array2d(dtype=wp.int32),
-    barycentric: wp.array2d(dtype=wp.vec2),
-    triangles: wp.array2d(dtype=wp.int32),
-    pixel: wp.array(dtype=wp.vec2),
-    rest_pixel: wp.array(dtype=wp.vec2),
-    gain: wp.array(dtype=wp.vec3),
-    lit: wp.array2d(dtype=wp.uint8),
-    vignetting: wp.array2d(dtype=wp.float32),
-    fine_flat: wp.array2d(dtype=wp.vec3),
-    idle: wp.array3d(dtype=wp.uint8),
-    image: wp.array3d(dtype=wp.uint8),
-):
+def warp_row(y: int, no_triangle: int, given: ImagePixels):
     """Colour the pixels of a row."""
     ...
 
 
 @wp.kernel
-def warp_idle(
-    triangle_seen: wp.array2d(dtype=wp.int32),
-    barycentric: wp.array2d(dtype=wp.vec2),
-    triangles: wp.array2d(dtype=wp.int32),
-    pixel: wp.array(dtype=wp.vec2),
-    rest_pixel: wp.array(dtype=wp.vec2),
-    gain: wp.array(dtype=wp.vec3),
-    lit: wp.array2d(dtype=wp.uint8),
-    vignetting: wp.array2d(dtype=wp.float32),
-    fine_flat: wp.array2d(dtype=wp.vec3),
-    idle: wp.array3d(dtype=wp.uint8),
-    row_first: int,
-    image: wp.array3d(dtype=wp.uint8),
-):
+def warp_idle(pixels: ImagePixels, row_first: int):
     """`kernels.warp_idle`, the three colours at once."""
     row, _ = wp.tid()
-    warp_row(
-        row_first + row,
-        _NO_TRIANGLE,
-        triangle_seen,
-        barycentric,
-        triangles,
-        pixel,
-        rest_pixel,
-        gain,
-        lit,
-        vignetting,
-        fine_flat,
-        idle,
-        image,
-    )
+    warp_row(row_first + row, _NO_TRIANGLE, pixels)

@@ -240,30 +240,21 @@ class ImageRenderer:
 
     def warp(self, view: View) -> ImageArray:
         """Return the image (H, W, 3) without the completion."""
-        gain = self._gain(view)
         image = self._memory.array(self._idle.shape, wp.uint8)
-        triangle = self._upload(view.triangle, wp.int32)
-        barycentric = self._upload(view.barycentric, wp.vec2)
-        vertex_pixel = self._upload(view.vertex_pixel, wp.vec2)
+        pixels = kernels.ImagePixels()
+        pixels.triangle_seen = self._upload(view.triangle, wp.int32)
+        pixels.barycentric = self._upload(view.barycentric, wp.vec2)
+        pixels.lit, pixels.vignetting = self._lit, self._brightness
+        pixels.idle, pixels.image, pixels.fine_flat = self._idle, image, self._fine_flat
+        pixels.triangles, pixels.gain = self._triangles, self._gain(view)
+        pixels.pixel = self._upload(view.vertex_pixel, wp.vec2)
+        pixels.rest_pixel = self._rest_pixel
 
         def warp_idle(first: int, end: int) -> wp.Launch:
             return wp.launch(
                 self.pixel_kernels.warp_idle,
                 dim=self.pixel_kernels.launch_dim(end - first, self._camera.width),
-                inputs=[
-                    triangle,
-                    barycentric,
-                    self._triangles,
-                    vertex_pixel,
-                    self._rest_pixel,
-                    gain,
-                    self._lit,
-                    self._brightness,
-                    self._fine_flat,
-                    self._idle,
-                    first,
-                ],
-                outputs=[image],
+                inputs=[pixels, first],
                 device=self._device,
                 record_cmd=True,
             )

@@ -177,38 +177,53 @@ def normal_towards_camera(
     return towards / length
 
 
+@wp.struct
+class ViewPixels:
+    """What `fill_view` reads and writes: of each pixel the triangle seen and the weights of its
+    second and third corner, ray, range, normal and place at rest; of the skin its triangles and, of
+    each vertex, normal and place at rest."""
+
+    triangle_seen: wp.array2d(dtype=wp.int32)
+    barycentric: wp.array2d(dtype=wp.vec2)
+    ray: wp.array2d(dtype=wp.vec3)
+    depth: wp.array2d(dtype=wp.float32)
+    normal: wp.array2d(dtype=wp.vec3)
+    material_point: wp.array2d(dtype=wp.vec3)
+    triangles: wp.array2d(dtype=wp.int32)
+    vertex_normal: wp.array(dtype=wp.vec3)
+    rest_position: wp.array(dtype=wp.vec3)
+
+
 @wp.kernel
-def fill_view(
-    triangle_seen: wp.array2d(dtype=wp.int32),
-    ray: wp.array2d(dtype=wp.vec3),
-    triangles: wp.array2d(dtype=wp.int32),
-    vertex_normal: wp.array(dtype=wp.vec3),
-    rest_position: wp.array(dtype=wp.vec3),
-    normal: wp.array2d(dtype=wp.vec3),
-    material_point: wp.array2d(dtype=wp.vec3),
-    depth: wp.array2d(dtype=wp.float32),
-    barycentric: wp.array2d(dtype=wp.vec2),
-):
-    """Normal towards the camera and material point of a pixel; no numbers where no skin is."""
-    y, x = wp.tid()
-    face = triangle_seen[y, x]
+def fill_view(view: ViewPixels, row_first: int):
+    """Normal towards the camera and material point of a pixel, rows counted from one on; no numbers
+    where no skin is."""
+    row_number, x = wp.tid()
+    y = row_first + row_number
+    face = view.triangle_seen[y, x]
     if face == _NO_TRIANGLE:
         nothing = wp.vec3(_NAN, _NAN, _NAN)
-        normal[y, x] = nothing
-        material_point[y, x] = nothing
-        depth[y, x] = _NAN
-        barycentric[y, x] = wp.vec2(0.0, 0.0)
+        view.normal[y, x] = nothing
+        view.material_point[y, x] = nothing
+        view.depth[y, x] = _NAN
+        view.barycentric[y, x] = wp.vec2(0.0, 0.0)
         return
-    i0 = triangles[face, 0]
-    i1 = triangles[face, 1]
-    i2 = triangles[face, 2]
-    weight = barycentric[y, x]
-    rest = rest_position[i0]
-    material_point[y, x] = (
-        rest + weight[0] * (rest_position[i1] - rest) + weight[1] * (rest_position[i2] - rest)
+    i0 = view.triangles[face, 0]
+    i1 = view.triangles[face, 1]
+    i2 = view.triangles[face, 2]
+    weight = view.barycentric[y, x]
+    rest = view.rest_position[i0]
+    view.material_point[y, x] = (
+        rest
+        + weight[0] * (view.rest_position[i1] - rest)
+        + weight[1] * (view.rest_position[i2] - rest)
     )
-    normal[y, x] = normal_towards_camera(
-        vertex_normal[i0], vertex_normal[i1], vertex_normal[i2], weight, ray[y, x]
+    view.normal[y, x] = normal_towards_camera(
+        view.vertex_normal[i0],
+        view.vertex_normal[i1],
+        view.vertex_normal[i2],
+        weight,
+        view.ray[y, x],
     )
 
 
@@ -273,54 +288,66 @@ def brightness_gain(
     )
 
 
+@wp.struct
+class ImagePixels:
+    """What `warp_idle` reads and writes: of each pixel the triangle seen and the weights of its
+    second and third corner, whether it is lit, vignetting, idle colour and colour; of the skin its
+    triangles and, of each vertex, pixel, pixel at rest and gain; and the idle frame to warp, of
+    twice the resolution (2 H - 1, 2 W - 1)."""
+
+    triangle_seen: wp.array2d(dtype=wp.int32)
+    barycentric: wp.array2d(dtype=wp.vec2)
+    lit: wp.array2d(dtype=wp.uint8)
+    vignetting: wp.array2d(dtype=wp.float32)
+    idle: wp.array3d(dtype=wp.uint8)
+    image: wp.array3d(dtype=wp.uint8)
+    triangles: wp.array2d(dtype=wp.int32)
+    pixel: wp.array(dtype=wp.vec2)
+    rest_pixel: wp.array(dtype=wp.vec2)
+    gain: wp.array(dtype=wp.vec3)
+    fine_flat: wp.array2d(dtype=wp.vec3)
+
+
 @wp.kernel
-def warp_idle(
-    triangle_seen: wp.array2d(dtype=wp.int32),
-    barycentric: wp.array2d(dtype=wp.vec2),
-    triangles: wp.array2d(dtype=wp.int32),
-    pixel: wp.array(dtype=wp.vec2),
-    rest_pixel: wp.array(dtype=wp.vec2),
-    gain: wp.array(dtype=wp.vec3),
-    lit: wp.array2d(dtype=wp.uint8),
-    vignetting: wp.array2d(dtype=wp.float32),
-    fine_flat: wp.array2d(dtype=wp.vec3),
-    idle: wp.array3d(dtype=wp.uint8),
-    row_first: int,
-    image: wp.array3d(dtype=wp.uint8),
-):
+def warp_idle(pixels: ImagePixels, row_first: int):
     """Colour of a pixel, rows counted from one on: the idle frame where the material point lay,
     times its gain.
 
     The idle pixel is the pixel plus the interpolated way back of the triangle's corners, which is
-    exactly zero at rest, and exact to first order in the size of a triangle elsewhere. The idle
-    frame has twice the resolution (2 H - 1, 2 W - 1).
+    exactly zero at rest, and exact to first order in the size of a triangle elsewhere.
     """
     row_number, x = wp.tid()
     y = row_first + row_number
-    face = triangle_seen[y, x]
-    if face == _NO_TRIANGLE or lit[y, x] == wp.uint8(0):
+    face = pixels.triangle_seen[y, x]
+    if face == _NO_TRIANGLE or pixels.lit[y, x] == wp.uint8(0):
         for channel in range(3):
-            image[y, x, channel] = idle[y, x, channel]
+            pixels.image[y, x, channel] = pixels.idle[y, x, channel]
         return
-    i0 = triangles[face, 0]
-    i1 = triangles[face, 1]
-    i2 = triangles[face, 2]
-    weight = barycentric[y, x]
-    back = rest_pixel[i0] - pixel[i0]
-    back_b = rest_pixel[i1] - pixel[i1] - back
-    back_c = rest_pixel[i2] - pixel[i2] - back
-    bright = gain[i0]
+    i0 = pixels.triangles[face, 0]
+    i1 = pixels.triangles[face, 1]
+    i2 = pixels.triangles[face, 2]
+    weight = pixels.barycentric[y, x]
+    back = pixels.rest_pixel[i0] - pixels.pixel[i0]
+    back_b = pixels.rest_pixel[i1] - pixels.pixel[i1] - back
+    back_c = pixels.rest_pixel[i2] - pixels.pixel[i2] - back
+    bright = pixels.gain[i0]
     way = back + weight[0] * back_b + weight[1] * back_c
-    brightness = bright + weight[0] * (gain[i1] - bright) + weight[1] * (gain[i2] - bright)
-    fine_x = wp.clamp(2.0 * (float(x) + way[0]), 0.0, float(fine_flat.shape[1] - 1))
-    fine_y = wp.clamp(2.0 * (float(y) + way[1]), 0.0, float(fine_flat.shape[0] - 1))
+    brightness = (
+        bright + weight[0] * (pixels.gain[i1] - bright) + weight[1] * (pixels.gain[i2] - bright)
+    )
+    fine_x = wp.clamp(2.0 * (float(x) + way[0]), 0.0, float(pixels.fine_flat.shape[1] - 1))
+    fine_y = wp.clamp(2.0 * (float(y) + way[1]), 0.0, float(pixels.fine_flat.shape[0] - 1))
     # The last sample is reached as the far end of the last cell.
-    column = wp.min(int(fine_x), fine_flat.shape[1] - 2)
-    row = wp.min(int(fine_y), fine_flat.shape[0] - 2)
+    column = wp.min(int(fine_x), pixels.fine_flat.shape[1] - 2)
+    row = wp.min(int(fine_y), pixels.fine_flat.shape[0] - 2)
     right = fine_x - float(column)
     down = fine_y - float(row)
-    upper = (1.0 - right) * fine_flat[row, column] + right * fine_flat[row, column + 1]
-    lower = (1.0 - right) * fine_flat[row + 1, column] + right * fine_flat[row + 1, column + 1]
-    colour = wp.cw_mul((1.0 - down) * upper + down * lower, brightness) * vignetting[y, x]
+    upper = (1.0 - right) * pixels.fine_flat[row, column] + right * pixels.fine_flat[
+        row, column + 1
+    ]
+    lower = (1.0 - right) * pixels.fine_flat[row + 1, column] + right * pixels.fine_flat[
+        row + 1, column + 1
+    ]
+    colour = wp.cw_mul((1.0 - down) * upper + down * lower, brightness) * pixels.vignetting[y, x]
     for channel in range(3):
-        image[y, x, channel] = wp.uint8(wp.clamp(colour[channel], 0.0, 255.0) + 0.5)
+        pixels.image[y, x, channel] = wp.uint8(wp.clamp(colour[channel], 0.0, 255.0) + 0.5)

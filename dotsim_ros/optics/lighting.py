@@ -29,45 +29,23 @@ class PointLight:
     intensity: tuple[float, float, float]
 
 
-def led_ring(
-    *,
-    radius_m: float = _STATED.radius_m,
-    height_m: float = _STATED.height_m,
-    azimuth_deg: tuple[float, float, float] = _STATED.azimuth_deg,
-    spread_deg: float = _STATED.spread_deg,
-    crosstalk: float = _STATED.crosstalk,
-    row_length_m: float = _STATED.row_length_m,
-) -> tuple[PointLight, ...]:
-    """Return nine LEDs around the axis, on a ring or in three rows: three red, three green, three
-    blue.
-
-    Args:
-        radius_m: radius of the ring.
-        height_m: height of the ring over the base plane.
-        azimuth_deg: directions of the red, the green and the blue group, from +x towards +y (in
-            the image: from right towards down).
-        spread_deg: between two neighbours of one group.
-        crosstalk: share of an LED's light that the camera sees in each of the other two colours.
-        row_length_m: of the straight row that a group forms across its direction, at the ring's
-            radius from the axis; 0 for a part of the ring.
-    """
+def led_ring(stated: LightingSpecification = _STATED) -> tuple[PointLight, ...]:
+    """Return the nine LEDs of a sensor's file around the axis, on a ring or in three rows: three
+    red, three green, three blue; from +x towards +y is from right towards down in the image."""
     lights = []
-    mixing = crosstalk + (1.0 - crosstalk) * np.eye(3)
-    for intensity, centre in zip(mixing, azimuth_deg, strict=True):
+    mixing = stated.crosstalk + (1.0 - stated.crosstalk) * np.eye(3)
+    for (red, green, blue), centre in zip(mixing.tolist(), stated.azimuth_deg, strict=True):
         for step in (-1.0, 0.0, 1.0):
-            along = 0.5 * row_length_m * step
-            azimuth = np.radians(centre if row_length_m > 0.0 else centre + spread_deg * step)
+            along = 0.5 * stated.row_length_m * step
+            spread_deg = 0.0 if stated.row_length_m > 0.0 else stated.spread_deg
+            azimuth = np.radians(centre + spread_deg * step)
+            cosine, sine = float(np.cos(azimuth)), float(np.sin(azimuth))
             place = (
-                radius_m * np.cos(azimuth) - along * np.sin(azimuth),
-                radius_m * np.sin(azimuth) + along * np.cos(azimuth),
-                height_m,
+                stated.radius_m * cosine - along * sine,
+                stated.radius_m * sine + along * cosine,
+                stated.height_m,
             )
-            lights.append(
-                PointLight(
-                    (float(place[0]), float(place[1]), float(place[2])),
-                    (float(intensity[0]), float(intensity[1]), float(intensity[2])),
-                )
-            )
+            lights.append(PointLight(place, (red, green, blue)))
     return tuple(lights)
 
 
@@ -100,21 +78,7 @@ class Lighting:
     def from_specification(cls, specification: LightingSpecification) -> Lighting:
         """Return the lights of a sensor's file."""
         s = specification
-        ring = led_ring(
-            radius_m=s.radius_m,
-            height_m=s.height_m,
-            azimuth_deg=s.azimuth_deg,
-            spread_deg=s.spread_deg,
-            crosstalk=s.crosstalk,
-            row_length_m=s.row_length_m,
-        )
-        return cls(
-            ring,
-            ambient_fraction=s.ambient_fraction,
-            exponent=s.exponent,
-            gloss=s.gloss,
-            gloss_exponent=s.gloss_exponent,
-        )
+        return cls(led_ring(s), s.ambient_fraction, s.exponent, s.gloss, s.gloss_exponent)
 
     def as_grey(self) -> Lighting:
         """Return the light as a camera sees it that tells no colours apart."""

@@ -30,14 +30,13 @@ from dotsim_ros.optics.idle import IdleFrame, lights_of, read_description, read_
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.specification import (
-    GRAIN_SHARE,
     GelSpecification,
     MarkerSpecification,
     PatternSpecification,
     SensorSpecification,
-    check_drawable,
     load_sensor,
 )
+from dotsim_ros.specification.sensor import GRAIN_SHARE, check_drawable
 
 SUPERSAMPLING = 3
 """Rays a pixel along each axis."""
@@ -223,15 +222,8 @@ def _describe(sensor: SensorSpecification, path: Path) -> None:
         "lighting": dataclasses.asdict(sensor.lighting),
         "vignetting": dataclasses.asdict(sensor.vignetting),
     }
-    plain = {
-        section: {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in values.items()
-        }
-        for section, values in sections.items()
-    }
     head = f"# LEDs, coat and vignetting that {path.with_suffix('.png').name} was drawn with.\n"
-    write_text(path, head + yaml.safe_dump(plain, sort_keys=False))
+    write_text(path, head + yaml.safe_dump(sections, sort_keys=False))
 
 
 def main() -> None:

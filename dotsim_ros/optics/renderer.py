@@ -23,12 +23,7 @@ from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands, thread_count
 from dotsim_ros.optics.frame_memory import FrameMemory
-from dotsim_ros.optics.visibility import (
-    RasterFinder,
-    RayQueryFinder,
-    Visibility,
-    lens_of,
-)
+from dotsim_ros.optics.visibility import RasterFinder, RayQueryFinder, lens_of
 
 
 @dataclass(frozen=True)
@@ -99,10 +94,6 @@ class SkinRenderer:
         camera: the camera, fixed in the base frame.
         skin_mesh: the skin at rest.
         device: Warp's name of the device, such as "cpu" or "cuda:0".
-        visibility: how to find what a pixel sees; by default the rasteriser on a CPU and Warp's
-            ray query on CUDA.
-        region: (H, W) where the camera sees anything, such as the lit disc of its idle frame;
-            elsewhere the view is empty. None for the whole image.
         band_count: bands of rows that threads share; None for as many as `bands.thread_count` on a
             CPU, else one. Any number gives the same to the last bit.
 
@@ -110,8 +101,7 @@ class SkinRenderer:
         pixel_kernels: the module whose kernel fills the view; both give the same to the last bit.
 
     Raises:
-        ValueError: the region is not of the camera's size, the image has too few pixels for the
-            rasteriser, or the rasteriser is asked for on a device that is not a CPU.
+        ValueError: the image has too few pixels for the rasteriser of a CPU.
     """
 
     def __init__(
@@ -120,28 +110,12 @@ class SkinRenderer:
         skin_mesh: SkinMesh,
         *,
         device: str = "cpu",
-        visibility: Visibility | None = None,
-        region: BoolArray | None = None,
         band_count: int | None = None,
     ) -> None:
         self.camera = camera
         self.skin_mesh = skin_mesh
         self._device = wp.get_device(device)
-        if visibility is None:
-            visibility = Visibility.RASTER if self._device.is_cpu else Visibility.RAY_QUERY
-        if not self._device.is_cpu and visibility is not Visibility.RAY_QUERY:
-            raise ValueError(
-                f"visibility {visibility.value!r} works on a CPU only, the device is {device!r}; "
-                f"use {Visibility.RAY_QUERY.value!r}"
-            )
         rays = camera.rays()[0].astype(np.float32)
-        if region is not None:
-            if region.shape != rays.shape[:2]:
-                raise ValueError(
-                    f"region has shape {region.shape}, expected {rays.shape[:2]} as the camera"
-                )
-            # A ray that is not finite meets nothing.
-            rays[~region] = np.nan
         first, faces = faces_around_vertices(skin_mesh.triangles, skin_mesh.vertex_count)
         self._memory = FrameMemory(self._device)
         self._lens = lens_of(camera)
@@ -154,20 +128,15 @@ class SkinRenderer:
         if band_count is None:
             band_count = thread_count() if self._device.is_cpu else 1
         self._bands = cut(camera.height, band_count)
-        self._finder = self._make_finder(visibility, rays, band_count)
+        self._finder: RasterFinder | RayQueryFinder
+        if self._device.is_cpu:
+            self._finder = RasterFinder(camera, rays, self._triangles, band_count)
+        else:
+            vertices = self._optical(skin_mesh.rest_position_m)
+            self._finder = RayQueryFinder(self._rays, self._triangles, vertices)
 
     def _upload(self, array: NDArray[np.generic], dtype: type) -> wp.array:
         return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device)
-
-    def _make_finder(
-        self, visibility: Visibility, rays: Float32Array, band_count: int
-    ) -> RasterFinder | RayQueryFinder:
-        match visibility:
-            case Visibility.RASTER:
-                return RasterFinder(self.camera, rays, self._triangles, band_count)
-            case Visibility.RAY_QUERY:
-                vertices = self._optical(self.skin_mesh.rest_position_m)
-                return RayQueryFinder(self._rays, self._triangles, vertices)
 
     def _optical(self, position_m: ArrayLike) -> wp.array:
         return self._upload(self.camera.to_optical(position_m).astype(np.float32), wp.vec3)
@@ -215,19 +184,17 @@ class SkinRenderer:
         )
         self._finder.find(vertices, vertex_pixel, triangle, barycentric, depth)
 
+        view = kernels.ViewPixels()
+        view.triangle_seen, view.barycentric, view.ray = triangle, barycentric, self._rays
+        view.depth, view.normal, view.material_point = depth, normal, material_point
+        view.triangles, view.vertex_normal = self._triangles, vertex_normal
+        view.rest_position = self._rest_position
+
         def fill(first: int, end: int) -> wp.Launch:
-            rows = slice(first, end)
             return wp.launch(
                 self.pixel_kernels.fill_view,
                 dim=self.pixel_kernels.launch_dim(end - first, self.camera.width),
-                inputs=[
-                    triangle[rows],
-                    self._rays[rows],
-                    self._triangles,
-                    vertex_normal,
-                    self._rest_position,
-                ],
-                outputs=[normal[rows], material_point[rows], depth[rows], barycentric[rows]],
+                inputs=[view, first],
                 device=self._device,
                 record_cmd=True,
             )

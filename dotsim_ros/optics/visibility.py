@@ -1,19 +1,15 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which triangle of the skin every pixel sees: two ways to the same answer.
+"""Which triangle of the skin every pixel sees: the same answer on a CPU and on CUDA.
 
-Both send the same ray through each pixel's centre, in single precision.
-
-- RASTER walks over the triangles and tests the pixels in the box around each: a CPU does a 640x480
-  frame in a few milliseconds, since the skin's triangles are a few pixels large. Threads share it
-  by bands of rows.
-- RAY_QUERY traces the rays through Warp's bounding-volume hierarchy: the way on CUDA.
+Both send the same ray through each pixel's centre, in single precision. A CPU walks over the
+triangles and tests the pixels in the box around each: 640x480 in a few milliseconds, since the
+skin's triangles are a few pixels large. CUDA traces the rays through Warp's bounding volumes.
 """
 
 from __future__ import annotations
 
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -23,13 +19,6 @@ from dotsim_ros.io.arrays import Float32Array
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands
-
-
-class Visibility(Enum):
-    """The ways to find what a pixel sees."""
-
-    RASTER = "raster"
-    RAY_QUERY = "ray_query"
 
 
 def lens_of(camera: Camera) -> Any:
@@ -46,11 +35,11 @@ def lens_of(camera: Camera) -> Any:
 
 
 class RasterFinder:
-    """The rasteriser; CPU only, since its triangles share pixels.
+    """The rasteriser of a CPU, whose triangles share pixels.
 
     Args:
         camera: the camera.
-        rays: (H, W, 3) in the optical frame; one that is not finite meets nothing.
+        rays: (H, W, 3) in the optical frame; one that is not finite sees nothing.
         triangles: (T, 3) int32 vertices of each.
         band_count: bands of rows that threads share.
 
@@ -64,7 +53,7 @@ class RasterFinder:
         if camera.width * camera.height < host_kernels.LANES:
             raise ValueError(
                 f"image is {camera.width}x{camera.height}, the rasteriser needs at least "
-                f"{host_kernels.LANES} pixels; use {Visibility.RAY_QUERY.value!r}"
+                f"{host_kernels.LANES} pixels"
             )
         self._lens = lens_of(camera)
         parts = np.ascontiguousarray(np.moveaxis(rays, 2, 0))
@@ -107,7 +96,7 @@ class RasterFinder:
 
 
 class RayQueryFinder:
-    """Warp's mesh query; the hierarchy is built once and refitted to every new shape."""
+    """Warp's mesh query, for CUDA; the hierarchy is built once and refitted to every new shape."""
 
     def __init__(self, rays: wp.array, triangles: wp.array, vertices: wp.array) -> None:
         self._rays = rays

@@ -24,12 +24,8 @@ from dotsim_ros.gel.values import specification_with, values_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.specification import (
-    WHOLE_CORE_RAD,
-    GelSpecification,
-    SensorSpecification,
-    SolverSpecification,
-)
+from dotsim_ros.specification import GelSpecification, SensorSpecification, SolverSpecification
+from dotsim_ros.specification.sections import WHOLE_CORE_RAD
 from dotsim_ros.twin.simulator import GelSimulator
 
 CORE_M, OUTER_M, GRID_M, COARSE_M = 6.0e-3, 15.75e-3, 2.4e-3, 3.6e-3

@@ -89,7 +89,7 @@ def test_a_message_of_any_model_is_a_calibration_and_back():
         np.eye(3, 4),
     )
     message = msg_adapters.encode_calibration(calibration, stamp_ns=5, frame_id="camera")
-    again = msg_adapters.decode_calibration(message)
+    again = msg_adapters.decode_camera_info(message)
     assert again.distortion.tolist() == calibration.distortion.tolist()
     assert np.array_equal(again.camera_matrix, calibration.camera_matrix)
     assert again.distortion_model == "rational_polynomial"

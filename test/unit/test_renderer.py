@@ -13,7 +13,7 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin, flat_pad_skin
 from dotsim_ros.optics import kernels
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.optics.visibility import Visibility
+from dotsim_ros.optics.visibility import RayQueryFinder
 from dotsim_ros.specification import load_sensor
 
 RADIUS_M = 0.01575
@@ -25,9 +25,9 @@ SAG_M = (SPACING_M / np.sqrt(3.0)) ** 2 / (2.0 * RADIUS_M)
 class EmbreeFinder:
     """Intel's Embree: a reference that shares no code with the package."""
 
-    def __init__(self, camera, triangles, region):
+    def __init__(self, camera, triangles):
         rays = camera.rays()[0].astype(np.float32)
-        self._valid = np.isfinite(rays[..., 2]) & (True if region is None else region)
+        self._valid = np.isfinite(rays[..., 2])
         self._rays = np.ascontiguousarray(rays[self._valid])
         self._triangles = triangles
 
@@ -42,14 +42,18 @@ class EmbreeFinder:
         depth.numpy()[self._valid] = 1e-3 * hits["tfar"]
 
 
-def by_embree(camera, mesh, region=None):
-    renderer = SkinRenderer(camera, mesh, region=region)
-    renderer._finder = EmbreeFinder(camera, mesh.triangles, region)
+def by_embree(camera, mesh):
+    renderer = SkinRenderer(camera, mesh)
+    renderer._finder = EmbreeFinder(camera, mesh.triangles)
     return renderer
 
 
-def by_ray_query(camera, mesh, region=None):
-    return SkinRenderer(camera, mesh, region=region, visibility=Visibility.RAY_QUERY)
+def by_ray_query(camera, mesh):
+    """The way of CUDA."""
+    renderer = SkinRenderer(camera, mesh)
+    vertices = renderer._optical(mesh.rest_position_m)
+    renderer._finder = RayQueryFinder(renderer._rays, renderer._triangles, vertices)
+    return renderer
 
 
 OTHERS = [by_embree, by_ray_query]
@@ -150,19 +154,6 @@ def test_material_points_move_with_the_skin(camera, dome):
     assert np.linalg.norm(rest - hit[seen], axis=1).max() > 0.002
 
 
-@pytest.mark.parametrize("renderer_of", [SkinRenderer, *OTHERS])
-def test_nothing_is_seen_outside_of_the_region(camera, dome, renderer_of):
-    rows, columns = np.mgrid[0:240, 0:320]
-    region = np.hypot(columns - 150.0, rows - 110.0) < 70.0
-    whole = renderer_of(camera, dome).render(pressed(dome))
-    view = renderer_of(camera, dome, region=region).render(pressed(dome))
-    assert np.array_equal(view.mask, region)
-    assert np.array_equal(view.depth_m[region], whole.depth_m[region])
-    assert np.all(np.isnan(view.depth_m[~region]))
-    with pytest.raises(ValueError, match="as the camera"):
-        SkinRenderer(camera, dome, region=region[:100])
-
-
 def test_large_triangles_lose_no_pixel_to_the_fisheye():
     # Each triangle fills a good part of the image, where its edges are strongly curved.
     mesh = dome_skin(RADIUS_M, 0.5 * RADIUS_M)
@@ -204,8 +195,6 @@ def test_image_too_small_for_the_rasteriser_is_refused():
     mesh = flat_pad_skin((0.02, 0.02), 0.004, 1e-3)
     with pytest.raises(ValueError, match="at least 8 pixels"):
         SkinRenderer(camera, mesh)
-    view = by_ray_query(camera, mesh).render(mesh.rest_position_m)
-    assert view.mask.all()
 
 
 def test_flat_pad_through_a_turned_camera():

@@ -16,11 +16,10 @@ import numpy as np
 import pytest
 import yaml
 
-from dotsim_ros import specification
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.make import body_of, skin_of
 from dotsim_ros.io.files import given_path, parameter_path
-from dotsim_ros.io.quantity import quantities_of, quantity
+from dotsim_ros.io.quantity import meanings_of, quantities_of, quantity
 from dotsim_ros.specification import (
     LARGEST_MEMORY_BYTES,
     SECTIONS,
@@ -31,12 +30,12 @@ from dotsim_ros.specification import (
     NoiseSpecification,
     SensorSpecification,
     SolverSpecification,
-    field_page,
     load_sensor,
     sensor_from,
     size_of,
     write_sensor,
 )
+from dotsim_ros.specification.__main__ import field_page, main
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted(path.stem for path in (ROOT / "params" / "sensors").glob("*.yaml"))
@@ -350,7 +349,7 @@ def test_every_field_says_what_it_is_and_holds_its_default(kind: type) -> None:
     assert set(known) == {field.name for field in dataclasses.fields(kind)} - sections
     assert kind() == kind(**{name: default for name, (default, _) in known.items()})
     for name, (default, entry) in known.items():
-        assert entry.help.endswith("."), name
+        assert meanings_of(kind)[name].endswith("."), name
         assert name.endswith("_m") == (entry.unit == "m"), name
         assert name.endswith("_pa") == (entry.unit == "Pa"), name
         assert entry.has_range != isinstance(default, bool | str), name
@@ -358,9 +357,9 @@ def test_every_field_says_what_it_is_and_holds_its_default(kind: type) -> None:
 
 def test_a_number_without_a_range_cannot_be_a_field() -> None:
     with pytest.raises(TypeError, match="both ends of a range"):
-        quantity(1.0, help="Endless.", low=0.0)
+        quantity(1.0, low=0.0)
     with pytest.raises(TypeError, match="no field can have the default None"):
-        quantity(None, help="Nothing.")
+        quantity(None)
 
 
 def test_the_page_of_the_fields_is_up_to_date() -> None:
@@ -380,8 +379,8 @@ def test_the_page_is_printed_or_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["specification"])
-    specification.main()
+    main()
     assert capsys.readouterr().out == field_page()
     monkeypatch.setattr(sys, "argv", ["specification", "--markdown", str(tmp_path / "page.md")])
-    specification.main()
+    main()
     assert (tmp_path / "page.md").read_text(encoding="utf-8") == field_page()

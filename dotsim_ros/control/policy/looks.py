@@ -18,12 +18,13 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray, ImageArray
 from dotsim_ros.optics.idle import IdleFrame
 from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
+from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import idle_frame_of, render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import (
     CameraSpecification,
+    LightingSpecification,
     PatternSpecification,
     SensorSpecification,
 )
@@ -78,18 +79,18 @@ def _idle_frame(
     azimuth += random.uniform(-10.0, 10.0, 3)
     if random.uniform() < 0.5:
         azimuth = azimuth[[0, 2, 1]]
-    lighting = Lighting(
-        led_ring(
+    lighting = Lighting.from_specification(
+        LightingSpecification(
             radius_m=float(random.uniform(0.008, 0.0105)),
             height_m=float(random.uniform(0.0003, 0.0015)),
             azimuth_deg=(float(azimuth[0]), float(azimuth[1]), float(azimuth[2])),
             spread_deg=float(random.uniform(10.0, 42.0)),
             crosstalk=float(random.uniform(0.02, 0.3)),
-        ),
-        ambient_fraction=float(np.exp(random.uniform(np.log(0.1), np.log(0.6)))),
-        exponent=float(random.uniform(0.35, 0.9)),
-        gloss=float(random.choice([0.0, random.uniform(0.0, 4.0)])),
-        gloss_exponent=float(random.uniform(50.0, 110.0)),
+            ambient_fraction=float(np.exp(random.uniform(np.log(0.1), np.log(0.6)))),
+            exponent=float(random.uniform(0.35, 0.9)),
+            gloss=float(random.choice([0.0, random.uniform(0.0, 4.0)])),
+            gloss_exponent=float(random.uniform(50.0, 110.0)),
+        )
     )
     vignetting = Vignetting((float(random.uniform(-0.3, 0.0)),))
     pattern = PatternSpecification(

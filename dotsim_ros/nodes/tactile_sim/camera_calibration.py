@@ -156,7 +156,7 @@ class CalibrationStore:
         node.create_service(SetCameraInfo, "set_camera_info", self._on_set)
 
     def _on_set(self, request: Any, response: Any) -> Any:
-        calibration = msg_adapters.decode_calibration(request.camera_info)
+        calibration = msg_adapters.decode_camera_info(request.camera_info)
         self._check(calibration)
         response.status_message = "taken until the node ends: no camera_info_url is set"
         if self._path is not None:

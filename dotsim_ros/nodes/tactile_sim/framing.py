@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
-from msg_adapters import EQUIDISTANT, PLUMB_BOB, CameraIntrinsics
+from msg_adapters import EQUIDISTANT, PLUMB_BOB, CameraCalibration, calibration_of
 
 MESSAGE_BYTES = 25.0
 """For a pixel of the published image: with readers of colours, depth and compressed images the node
@@ -108,15 +108,15 @@ class Framing:
         """Return the camera that sees the part at the size that it is best rendered at."""
         return camera.part(*self.crop_px).scaled(*self.rendered_px)
 
-    def intrinsics(self, camera: Camera) -> CameraIntrinsics:
-        """Return the intrinsics of the published image, given the sensor's own camera."""
+    def intrinsics(self, camera: Camera) -> CameraCalibration:
+        """Return the calibration of the published image, given the sensor's own camera."""
         part = self.camera(camera)
         scale = np.array(self.size_px) / np.array(self.rendered_px)
         model, coefficients = EQUIDISTANT, camera.distortion
         if camera.projection == PinholeCamera.projection:
             # Of CameraInfo's five, the last is k3.
             model, coefficients = PLUMB_BOB, np.append(camera.distortion, 0.0)
-        return CameraIntrinsics(
+        return calibration_of(
             width=self.size_px[0],
             height=self.size_px[1],
             focal_px=part.focal_xy_px * scale,

@@ -221,9 +221,9 @@ class FramePublishers:
 
     def _camera_info_message(self, header: _Header) -> Any:
         own, given = self._intrinsics, self._calibration
-        if given is not None and (given.width, given.height) == (own.width, own.height):
-            return msg_adapters.encode_calibration(given, **header)
-        return msg_adapters.encode_camera_info(**vars(own), **header)
+        if given is None or (given.width, given.height) != (own.width, own.height):
+            given = own
+        return msg_adapters.encode_calibration(given, **header)
 
     def take_reference(self, image: ImageArray | None) -> None:
         """Take differences to an image of the sensor from now on; None: to the untouched one."""
