@@ -228,15 +228,7 @@ def test_without_friction_the_force_depends_on_the_pose_alone(pad: dict[str, Run
     [
         ("at_once", "drag"),
         ("punch_at_once", "punch_turned"),
-        pytest.param(
-            "touch_then_at_once",
-            "drag",
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="1.2 % of force and 12 um: after a mere touch, moves are as long as in a "
-                "press, 0.6 mm; in the implicit gel too",
-            ),
-        ),
+        ("touch_then_at_once", "drag"),
     ],
 )
 def test_a_press_at_once_is_one_in_ten_frames(

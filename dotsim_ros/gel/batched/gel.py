@@ -41,10 +41,9 @@ from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.specification import SensorSpecification
 
 LARGEST_MOVE_M = 0.6e-3
-"""The indenter moves no farther in a substep..."""
+"""The indenter moves no farther in a substep, nor than twice its depth in the gel at rest..."""
 TOUCH_SHARE = 0.05
-"""...and, until it has been in contact for a step, by no more than this share of the grid's
-spacing."""
+"""...or than this share of the grid's spacing, if that is more."""
 NEAR_M = 0.1e-3
 """Markers that are expected nearer to the indenter than this, and than what of its motion was not
 expected, may touch in a substep."""
@@ -237,13 +236,13 @@ class BatchedGel:
         start, start_turn = self._origin_m, self._rotation
         # A turn moves the skin as well.
         way = (target - start).norm(dim=1) + LEVER_M * angle_between(start_turn, turn)
-        # From the air, only the way after the first touch counts, in short moves.
+        # From the air, only the way after the first touch counts.
         touch = self._touch_share(start, target, turn)
-        short = TOUCH_SHARE * self._spacing_m
-        longest = torch.where(self._is_touching, LARGEST_MOVE_M, short)
+        depth = torch.where(self._is_touching, -self._rest_gap(start, start_turn), 0.0)
+        longest = (2.0 * depth).clamp(TOUCH_SHARE * self._spacing_m, LARGEST_MOVE_M)
         moves = (way * (1.0 - touch) / longest).ceil().clamp(min=1.0)
         # A gel that nothing touches in the end is at rest, whatever the way.
-        moves = torch.where(self._touches(target, turn), moves, 1.0)
+        moves = torch.where(self._rest_gap(target, turn) < ONSET_M, moves, 1.0)
         for number in range(1, int(moves.max()) + 1):
             share = (touch + (1.0 - touch) * number / moves).clamp(max=1.0)
             between = nearest_rotation(start_turn + share[:, None, None] * (turn - start_turn))
@@ -311,16 +310,15 @@ class BatchedGel:
         distance, _ = self._distance(skin_m, origin_m, rotation)
         return torch.where(self._on_base, torch.inf, distance)
 
-    def _touches(self, origin_m: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
-        """Return whether indenters at poses (B, 3), (B, 3, 3) would touch a gel at rest (B,)."""
-        gap = self._skin_distance(self._all_at_rest_m, origin_m, rotation)
-        return gap.amin(dim=1) < ONSET_M
+    def _rest_gap(self, origin_m: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+        """Return the distances (B,) of indenters at poses (B, 3), (B, 3, 3) from a gel at rest."""
+        return self._skin_distance(self._all_at_rest_m, origin_m, rotation).amin(dim=1)
 
     def _substep(
         self, origin_m: torch.Tensor, rotation: torch.Tensor, is_moving: torch.Tensor
     ) -> None:
         """Advance the gels that move to new poses (B, 3), (B, 3, 3) of their indenters."""
-        touches = self._touches(origin_m, rotation)
+        touches = self._rest_gap(origin_m, rotation) < ONSET_M
         begins = touches & ~self._is_touching
         fresh = begins[:, None, None]
         here = _to_local(self._skin_m, origin_m, rotation)
