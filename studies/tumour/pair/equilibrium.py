@@ -174,25 +174,27 @@ class GelAndLayer:
                     f"the layer moved by {moved} m, expected {LARGEST_STEP_M} m at most; press in "
                     "smaller steps"
                 )
-        gel_m, layer_m = start.gel_m.copy(), start.layer_m.copy()
-        candidate = self._candidates(layer, start.skin_position_m, pose)
-        s = self.settings
-        at = self._local(gel_m, candidate, pose)[:, :2]
-        here = self._touch(gel_m, layer_m, candidate, pose, at)
+        s, gel_m, layer_m = self.settings, start.gel_m, start.layer_m
+        markers = self._markers(layer, start.skin_position_m, pose)
+        here = markers.touch(gel_m, layer_m, markers.local(gel_m)[:, :2])
         size = np.inf
         for iteration in range(1, s.iterations + 1):
             if size > s.fresh:
                 self._layer_stiffness.refresh(layer_m)
                 if iteration == 1:
                     self._gel_stiffness.refresh(gel_m)
-            energy, gel_r, layer_r = self._forces(gel_m, layer_m, here, candidate, pose)
-            step_gel, step_layer = self._newton_step(gel_r, layer_r, here, candidate, pose)
+            gel_energy, gel_r = self.gel.force_in(0, gel_m)
+            layer_energy, layer_r = layer.body.force_in(0, layer_m)
+            energy = gel_energy + layer_energy + here.energy_j
+            gel_r = gel_r - markers.weights.T @ markers.force_n(here)
+            layer_r = layer_r + here.layer_force_n()
+            step_gel, step_layer = self._newton_step(gel_r, layer_r, here, markers)
             size = max(float(np.abs(step_gel).max()), float(np.abs(step_layer).max()))
             descent = float(np.vdot(gel_r, step_gel) + np.vdot(layer_r, step_layer))
             share = min(1.0, LARGEST_STEP_M / size)
             while True:
                 tried_gel, tried_layer = gel_m + share * step_gel, layer_m + share * step_layer
-                tried = self._touch(tried_gel, tried_layer, candidate, pose, here.parameters_m)
+                tried = markers.touch(tried_gel, tried_layer, here.parameters_m)
                 total = tried.energy_j + sum(
                     body.force_in(0, moved)[0]
                     for body, moved in ((self.gel, tried_gel), (layer.body, tried_layer))
@@ -207,69 +209,53 @@ class GelAndLayer:
                     )
             gel_m, layer_m, here = tried_gel, tried_layer, tried
             if size < s.tolerance_m:
-                return self._state(pose, gel_m, layer_m, here, candidate, start, iteration)
+                skin = self.skin.rest_position_m + self._weights @ gel_m
+                # The layer's reaction to what presses each marker outwards.
+                force = -markers.force_n(here)
+                torque = np.cross(skin[markers.number], force).sum(axis=0)
+                return PairState(
+                    pose,
+                    gel_m,
+                    layer_m,
+                    skin,
+                    Wrench(force.sum(axis=0), torque),
+                    float(max(0.0, -here.gap_m.min(initial=0.0))),
+                    int(np.count_nonzero(here.force_n)),
+                    start.iterations + iteration,
+                )
         raise PairError(
             f"gel and layer have not come to rest within {s.iterations} iterations, the last of "
             f"which moved them by {size} m; press less deep or in smaller steps"
         )
 
-    def _candidates(self, layer: SoftLayer, skin_m: FloatArray, pose: Pose) -> IndexArray:
-        candidate, beside = near_top(layer, _into(pose, skin_m), REACH_M)
+    def _markers(self, layer: SoftLayer, skin_m: FloatArray, pose: Pose) -> _Markers:
+        """Return the markers that may touch a layer, of a skin (V, 3) close to the solution."""
+        number, beside = near_top(layer, _into(pose, skin_m), REACH_M)
         beside &= ~self.skin.on_base
         if np.any(_into(pose, skin_m)[beside, 2] < layer.specification.thickness_m):
             raise PairError(
                 f"the gel reaches over the rim of the layer of {layer.specification.side_m} m; "
                 "take a wider layer"
             )
-        return candidate
-
-    def _local(self, gel_m: FloatArray, candidate: IndexArray, pose: Pose) -> FloatArray:
-        moved = self._weights[candidate] @ gel_m
-        return _into(pose, self.skin.rest_position_m[candidate] + moved)
-
-    def _touch(
-        self,
-        gel_m: FloatArray,
-        layer_m: FloatArray,
-        candidate: IndexArray,
-        pose: Pose,
-        start_m: FloatArray,
-    ) -> Touch:
-        assert self._layer is not None
-        marker = self._local(gel_m, candidate, pose)
-        area = self.skin.rest_area_m2[candidate]
-        return touch(self._layer, layer_m, marker, area, self._contact_pa_m, start_m)
-
-    def _forces(
-        self,
-        gel_m: FloatArray,
-        layer_m: FloatArray,
-        here: Touch,
-        candidate: IndexArray,
-        pose: Pose,
-    ) -> tuple[float, FloatArray, FloatArray]:
-        """Return the energy of all and its gradients by both bodies' displacements."""
-        assert self._layer is not None
-        gel_energy, gel_force = self.gel.force_in(0, gel_m)
-        layer_energy, layer_force = self._layer.body.force_in(0, layer_m)
-        on_marker = here.force_n[:, None] * (here.normal @ pose.rotation().T)
-        gel_force = gel_force - self._weights[candidate].T @ on_marker
-        layer_force = layer_force + here.layer_force_n()
-        return gel_energy + layer_energy + here.energy_j, gel_force, layer_force
+        return _Markers(
+            layer,
+            pose,
+            number,
+            self._weights[number],
+            self.skin.rest_position_m[number],
+            self.skin.rest_area_m2[number],
+            self._contact_pa_m,
+        )
 
     def _newton_step(
-        self,
-        gel_r: FloatArray,
-        layer_r: FloatArray,
-        here: Touch,
-        candidate: IndexArray,
-        pose: Pose,
+        self, gel_r: FloatArray, layer_r: FloatArray, here: Touch, markers: _Markers
     ) -> tuple[FloatArray, FloatArray]:
+        """Return the steps of both bodies from the energy's gradients by their displacements."""
         gel, layer = self._gel_stiffness.factor, self._layer_stiffness.factor
         stiff = here.stiffness_n_m
         touching = np.flatnonzero(stiff > LEAST_STIFFNESS * stiff.max(initial=0.0))
         normal = here.normal[touching]
-        on_gel = _along(self._weights[candidate[touching]], normal @ pose.rotation().T)
+        on_gel = _along(markers.weights[touching], normal @ markers.pose.rotation().T)
         on_layer = _along(here.layer_weight[touching], -normal)
         # The first column is the step without contact, the others what the contact forces add.
         gel_columns = gel.solve(np.column_stack([-gel_r.ravel(), on_gel.T.toarray()]))
@@ -281,30 +267,40 @@ class GelAndLayer:
         combined = np.concatenate([[1.0], -pressed])
         return (gel_columns @ combined).reshape(-1, 3), (layer_columns @ combined).reshape(-1, 3)
 
-    def _state(
-        self,
-        pose: Pose,
-        gel_m: FloatArray,
-        layer_m: FloatArray,
-        here: Touch,
-        candidate: IndexArray,
-        start: PairState,
-        iterations: int,
-    ) -> PairState:
-        skin = self.skin.rest_position_m + self._weights @ gel_m
-        # The layer's reaction to what presses each marker outwards.
-        force = -here.force_n[:, None] * (here.normal @ pose.rotation().T)
-        torque = np.cross(skin[candidate], force).sum(axis=0)
-        return PairState(
-            pose,
-            gel_m,
-            layer_m,
-            skin,
-            Wrench(force.sum(axis=0), torque),
-            float(max(0.0, -here.gap_m.min(initial=0.0))),
-            int(np.count_nonzero(here.force_n)),
-            start.iterations + iterations,
-        )
+
+@dataclass(frozen=True)
+class _Markers:
+    """C markers of the gel that may touch a layer whose frame lies at a pose.
+
+    Attributes:
+        layer, pose: which.
+        number: (C,) theirs in the skin.
+        weights: (C, N) of the gel's nodes.
+        rest_m: (C, 3) at rest, base frame.
+        area_m2: (C,) of the skin that each stands for.
+        stiffness_pa_m: of the contact, pressure over depth.
+    """
+
+    layer: SoftLayer
+    pose: Pose
+    number: IndexArray
+    weights: sparse.csr_matrix
+    rest_m: FloatArray
+    area_m2: FloatArray
+    stiffness_pa_m: float
+
+    def local(self, gel_m: FloatArray) -> FloatArray:
+        """Return where they are (C, 3) in the layer's frame."""
+        return _into(self.pose, self.rest_m + self.weights @ gel_m)
+
+    def touch(self, gel_m: FloatArray, layer_m: FloatArray, start_m: FloatArray) -> Touch:
+        """Return their contact; the search for the nearest points begins at (C, 2)."""
+        marker = self.local(gel_m)
+        return touch(self.layer, layer_m, marker, self.area_m2, self.stiffness_pa_m, start_m)
+
+    def force_n(self, here: Touch) -> FloatArray:
+        """Return the forces on them (C, 3), base frame."""
+        return np.asarray(here.force_n[:, None] * (here.normal @ self.pose.rotation().T))
 
 
 def _into(pose: Pose, points_m: FloatArray) -> FloatArray:
