@@ -43,39 +43,26 @@ def test_a_distortion_too_small_to_matter_changes_nothing():
     assert tiny.unproject([3.0, 4.0]) == pytest.approx(plain.unproject([3.0, 4.0]), abs=1e-15)
 
 
-ASPECTS = pytest.mark.parametrize("aspect", [1.0, 1.08])
-
-
-@ASPECTS
-def test_agrees_with_opencv_in_front_of_the_camera(aspect):
-    camera = replace(make_camera((0.03, -0.01, 0.002, -0.0005)), pixel_aspect=aspect)
-    random = np.random.default_rng(1)
-    points = random.normal(size=(200, 3))
-    points[:, 2] = np.abs(points[:, 2]) + 0.05
-    matrix = np.diag([aspect * camera.focal_px, camera.focal_px, 1.0])
-    matrix[:2, 2] = camera.principal_point_px
-    expected, _ = cv2.fisheye.projectPoints(
-        points[:, None, :], np.zeros(3), np.zeros(3), matrix, camera.distortion
-    )
-    assert camera.project_optical(points) == pytest.approx(expected[:, 0, :], abs=1e-9)
-    ahead = camera.unproject(expected[:, 0, :])
-    assert ahead == pytest.approx(points / np.linalg.norm(points, axis=1)[:, None], abs=1e-9)
-
-
+FISHEYE = make_camera((0.03, -0.01, 0.002, -0.0005))
 PINHOLE = PinholeCamera(64, 48, 40.0, (31.0, 24.5), (-0.25, 0.08, 0.004, -0.006))
 
 
-@ASPECTS
-def test_a_pinhole_agrees_with_opencv(aspect):
-    camera = replace(PINHOLE, pixel_aspect=aspect)
-    random = np.random.default_rng(2)
+@pytest.mark.parametrize("aspect", [1.0, 1.08])
+@pytest.mark.parametrize(
+    ("camera", "project"),
+    [(FISHEYE, cv2.fisheye.projectPoints), (PINHOLE, cv2.projectPoints)],
+    ids=["fisheye", "pinhole"],
+)
+def test_agrees_with_opencv_in_front_of_the_camera(camera, project, aspect):
+    camera = replace(camera, pixel_aspect=aspect)
+    random = np.random.default_rng(1)
     points = random.uniform([-0.7, -0.6, 0.9], [0.7, 0.6, 1.1], (200, 3))
-    matrix = np.diag([aspect * PINHOLE.focal_px, PINHOLE.focal_px, 1.0])
-    matrix[:2, 2] = PINHOLE.principal_point_px
-    k1, k2, p1, p2 = PINHOLE.distortion
-    expected, _ = cv2.projectPoints(
-        points, np.zeros(3), np.zeros(3), matrix, np.array([k1, k2, p1, p2, 0.0])
-    )
+    if isinstance(camera, FisheyeCamera):
+        points = random.normal(size=(200, 3))
+        points[:, 2] = np.abs(points[:, 2]) + 0.05
+    matrix = np.diag([aspect * camera.focal_px, camera.focal_px, 1.0])
+    matrix[:2, 2] = camera.principal_point_px
+    expected, _ = project(points[:, None], np.zeros(3), np.zeros(3), matrix, camera.distortion)
     assert camera.project_optical(points) == pytest.approx(expected[:, 0, :], abs=1e-9)
     ahead = camera.unproject(expected[:, 0, :])
     assert ahead == pytest.approx(points / np.linalg.norm(points, axis=1)[:, None], abs=1e-9)
@@ -164,24 +151,21 @@ def test_scaling_keeps_the_view():
         camera.scaled(640, 500)
 
 
-def test_sensor_file_sets_the_angle_at_half_the_height():
-    camera = Camera.from_specification(load_sensor("densetact2").camera)
-    direction = camera.unproject([319.5, 239.5 + 240.0])
-    assert np.degrees(np.arctan2(direction[1], direction[2])) == pytest.approx(86.0)
-    assert camera.pose.position_m == pytest.approx([0.0, 0.0, 0.0025])
-    assert camera.focal_px == pytest.approx(240.0 / np.radians(86.0))
-
-
-def test_a_pinhole_of_a_file_sees_the_angle_at_half_the_height():
+@pytest.mark.parametrize(("projection", "angle_deg"), [("equidistant", 86.0), ("pinhole", 30.0)])
+def test_sensor_file_sets_the_angle_at_half_the_height(projection, angle_deg):
     section = replace(
-        load_sensor("densetact2").camera, projection="pinhole", half_height_angle_deg=30.0
+        load_sensor("densetact2").camera, projection=projection, half_height_angle_deg=angle_deg
     )
     camera = Camera.from_specification(section)
     direction = camera.unproject([319.5, 239.5 + 240.0])
-    assert np.degrees(np.arctan2(direction[1], direction[2])) == pytest.approx(30.0)
-    assert np.degrees(camera.half_height_angle_rad) == pytest.approx(30.0)
+    assert np.degrees(np.arctan2(direction[1], direction[2])) == pytest.approx(angle_deg)
+    assert np.degrees(camera.half_height_angle_rad) == pytest.approx(angle_deg)
+    assert camera.pose.position_m == pytest.approx([0.0, 0.0, 0.0025])
+
+
+def test_a_pinhole_of_a_file_is_no_fisheye():
     with pytest.raises(ValueError, match="at most 80 deg"):
-        replace(section, half_height_angle_deg=85.0)
+        replace(load_sensor("densetact2").camera, projection="pinhole", half_height_angle_deg=85.0)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 
 """Indenters: exact distances, grids, kernels, meshes that must be refused, definitions."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -258,16 +258,30 @@ def test_kernel_continues_outside_of_the_grid(ball: Indenter) -> None:
     assert np.all(np.isfinite(gradient))
 
 
-def closed_mesh() -> trimesh.Trimesh:
-    mesh = trimesh.creation.box(extents=[0.004, 0.004, 0.004])
-    mesh.apply_translation([0.0, 0.0, 0.002])
+def block(extents: Sequence[float], place: Sequence[float]) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box(extents=extents)
+    mesh.apply_translation(place)
     return mesh
 
 
-def write_ball(path: Path, place: tuple[float, ...] | list[float] = (0.0, 0.0, 0.004)) -> Path:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.004)
+def closed_mesh() -> trimesh.Trimesh:
+    return block([0.004, 0.004, 0.004], [0.0, 0.0, 0.002])
+
+
+def assert_same_distance(mesh: Indenter, primitive: Indenter, tolerance_m: float) -> None:
+    points = points_around(primitive)
+    error = mesh.signed_distance(points) - primitive.signed_distance(points)
+    assert np.abs(error).max() < tolerance_m
+
+
+def ball_mesh(radius: float, place: Sequence[float] = (0.0, 0.0, 0.0)) -> trimesh.Trimesh:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=radius)
     ball.apply_translation(place)
-    ball.export(path)
+    return ball
+
+
+def write_ball(path: Path, place: Sequence[float] = (0.0, 0.0, 0.004)) -> Path:
+    ball_mesh(0.004, place).export(path)
     return path
 
 
@@ -290,8 +304,7 @@ def test_mesh_with_a_hole_is_refused(tmp_path: Path) -> None:
 def test_a_mesh_in_another_unit_is_refused_with_the_size_that_each_unit_gives(
     tmp_path: Path, unit: str, scale: float, right: str, answered: Callable[..., None]
 ) -> None:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.004 / scale)
-    ball.export(tmp_path / "ball.stl")
+    ball_mesh(0.004 / scale).export(tmp_path / "ball.stl")
     with pytest.raises(ValueError, match=right) as refused:
         load_mesh(tmp_path / "ball.stl")
     answered(refused.value, what=f"a ball of 8 mm in {unit}")
@@ -302,8 +315,7 @@ def test_a_mesh_in_another_unit_is_refused_with_the_size_that_each_unit_gives(
 def test_a_mesh_that_is_tiny_in_its_unit_is_doubted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, answered: Callable[..., None]
 ) -> None:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.004 / 0.0254)
-    ball.export(tmp_path / "inches.stl")
+    ball_mesh(0.004 / 0.0254).export(tmp_path / "inches.stl")
     warn_of_misfit(load_mesh(tmp_path / "inches.stl", 0.001), PAD_20_MM)
     assert "is 0.315 mm wide and 0.315 mm long, the gel 20 mm wide" in caplog.text
     assert "in inches: it is then 8 mm long: scale=0.0254" in caplog.text
@@ -316,8 +328,7 @@ def test_a_mesh_that_is_tiny_in_its_unit_is_doubted(
 def test_a_mesh_that_is_wider_than_the_gel_is_doubted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, answered: Callable[..., None]
 ) -> None:
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
-    ball.export(tmp_path / "wide.stl")
+    ball_mesh(2.0).export(tmp_path / "wide.stl")
     warn_of_misfit(load_mesh(tmp_path / "wide.stl", 0.0254), PAD_20_MM)
     assert "is 102 mm wide" in caplog.text
     assert "another unit (in millimetres: it is then 4 mm long: scale=0.001)" in caplog.text
@@ -338,15 +349,11 @@ def test_a_mesh_beside_its_axis_is_doubted_and_its_tip_can_be_the_origin(
     at_tip = load_mesh(path, origin="tip")
     warn_of_misfit(at_tip, PAD_20_MM)
     assert not caplog.records
-    points = points_around(sphere(0.004))
-    error = at_tip.signed_distance(points) - sphere(0.004).signed_distance(points)
-    assert np.abs(error).max() < 6e-5  # the facets' sagitta
+    assert_same_distance(at_tip, sphere(0.004), 6e-5)  # the facets' sagitta
 
 
 def test_the_tip_of_a_level_face_or_edge_is_its_middle(tmp_path: Path) -> None:
-    block = trimesh.creation.box(extents=[0.004, 0.006, 0.005])
-    block.apply_translation([0.03, 0.02, 0.01])
-    block.export(tmp_path / "block.stl")
+    block([0.004, 0.006, 0.005], [0.03, 0.02, 0.01]).export(tmp_path / "block.stl")
     bounds = load_mesh(tmp_path / "block.stl", origin="tip").bounds_m()
     assert bounds == pytest.approx(np.array([[-0.002, -0.003, 0], [0.002, 0.003, 0.005]]), abs=1e-8)
 
@@ -370,9 +377,7 @@ def test_texture_seams_do_not_open_a_mesh(tmp_path: Path) -> None:
         loaded = load_mesh(tmp_path / name, 0.001)
         assert loaded.mesh is not None
         assert (len(loaded.mesh.vertices_m), len(loaded.mesh.triangles)) == (8, 12)
-        points = points_around(loaded)
-        error = loaded.signed_distance(points) - box([0.004] * 3).signed_distance(points)
-        assert np.abs(error).max() < 1e-8
+        assert_same_distance(loaded, box([0.004] * 3), 1e-8)
 
 
 @pytest.mark.parametrize("content", [b"", b"\x00\xff" * 90])
@@ -396,14 +401,12 @@ def test_inverted_and_doubled_triangles_are_repaired(tmp_path: Path) -> None:
 def test_a_body_that_is_inside_out_is_turned(
     tmp_path: Path, suffix: str, caplog: pytest.LogCaptureFixture, answered: Callable[..., None]
 ) -> None:
-    tip = trimesh.creation.icosphere(subdivisions=3, radius=0.002)
-    tip.apply_translation([0.0, 0.0, 0.002])
+    tip = ball_mesh(0.002, [0.0, 0.0, 0.002])
     tip.invert()
     # It reaches into the block that holds it, which is larger: the whole volume is positive.
-    block = trimesh.creation.box(extents=[0.01, 0.01, 0.01])
-    block.apply_translation([0.0, 0.0, 0.008])
+    holder = block([0.01, 0.01, 0.01], [0.0, 0.0, 0.008])
     path = tmp_path / f"held_tip.{suffix}"
-    trimesh.util.concatenate([tip, block]).export(path)
+    trimesh.util.concatenate([tip, holder]).export(path)
     loaded = load_mesh(path)
     probes = [[0.0, 0.0, 0.0005], [0.0, 0.0, 0.0035], [0.0, 0.0, 0.006], [0.0, 0.003, 0.001]]
     assert np.sign(loaded.signed_distance(probes)).tolist() == [-1.0, -1.0, -1.0, 1.0]
@@ -418,9 +421,8 @@ def test_a_body_that_is_inside_out_is_turned(
 def test_a_cavity_stays_one_whichever_way_its_shells_are_turned(
     tmp_path: Path, outer_inverted: bool, inner_inverted: bool
 ) -> None:
-    shells = [trimesh.creation.icosphere(subdivisions=3, radius=r) for r in (4.0, 2.0, 1.0)]
+    shells = [ball_mesh(radius, [0.0, 0.0, 4.0]) for radius in (4.0, 2.0, 1.0)]
     for shell, inverted in zip(shells, (outer_inverted, inner_inverted, False), strict=True):
-        shell.apply_translation([0.0, 0.0, 4.0])
         if inverted:
             shell.invert()
     trimesh.util.concatenate(shells[:2]).export(tmp_path / "hollow.stl")
@@ -443,10 +445,7 @@ def test_collinear_and_doubled_triangles_do_not_open_a_mesh(tmp_path: Path) -> N
     split = [[a, middle, c], [middle, b, c], [a, b, middle], [a, a, b]]
     faces = np.vstack([mesh.faces[1:], split, mesh.faces[-2:]])
     trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "split.ply")
-    loaded = load_mesh(tmp_path / "split.ply")
-    points = points_around(loaded)
-    error = loaded.signed_distance(points) - box([0.004] * 3).signed_distance(points)
-    assert np.abs(error).max() < 1e-8
+    assert_same_distance(load_mesh(tmp_path / "split.ply"), box([0.004] * 3), 1e-8)
 
 
 @pytest.mark.fault("meshes", "bodies that share an edge")
@@ -500,9 +499,7 @@ def test_stand_in_sphere_and_torus_agree_with_the_primitives() -> None:
         pytest.skip("no measured data next to this checkout")
     for stem, primitive in (("1_sphere", sphere(0.004)), ("4_torus", torus(0.0028, 0.0015))):
         path = next(path for path in STAND_IN_MESHES if path.stem == stem)
-        points = points_around(primitive, 500)
-        error = load_mesh(path).signed_distance(points) - primitive.signed_distance(points)
-        assert np.abs(error).max() < 3e-5
+        assert_same_distance(load_mesh(path), primitive, 3e-5)
 
 
 @pytest.mark.parametrize("path", REAL_MESHES[:2] or [None])
