@@ -29,7 +29,7 @@ from rclpy.client import Client as RosClient
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 import msg_adapters
@@ -368,15 +368,6 @@ class Watcher:
         future = self._clients[name].call_async(kind.Request(**fields))  # type: ignore[attr-defined]
         self.wait(future.done, f"an answer of {name}", patience_s=patience_s)
         return future.result()
-
-    def heard_late(self, kind: type, topic: str) -> Any:
-        """Return what a reader gets that comes after the message was sent."""
-        heard: list[Any] = []
-        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        reader = self.node.create_subscription(kind, topic, heard.append, latched)
-        self.wait(lambda: heard, topic)
-        self.node.destroy_subscription(reader)
-        return heard[-1]
 
     def set_parameters_of(self, node: str, **values: Any) -> Any:
         """Set parameters of a node together; return the result with its reason."""

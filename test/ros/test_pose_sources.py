@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -25,16 +23,12 @@ from harness import (
     TactileFrame,
     running,
 )
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from message_packages import importable
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from scipy.spatial.transform import Rotation
 
 import msg_adapters
-from dotsim_ros.geometry.camera import Camera
-from dotsim_ros.specification import load_sensor
 
 PARAMETERS = {
     "clock": "lockstep",
@@ -169,33 +163,13 @@ def reference() -> list[TactileFrame]:
         return SimulatorPress(client).run()
 
 
-TF2_ROS = """
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from tf2_msgs.msg import TFMessage
-
-
-class StaticTransformBroadcaster:
-    def __init__(self, node):
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._publisher = node.create_publisher(TFMessage, "/tf_static", latched)
-
-    def sendTransform(self, transform):
-        self._publisher.publish(TFMessage(transforms=[transform]))
-"""
-"""What tf2_ros does for one transform, where it is not installed: no package index has it."""
-
-
 @pytest.fixture(scope="module")
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     folder = tmp_path_factory.mktemp("messages")
     with (
         importable("tf2_msgs", folder / "tf2_msgs"),
         importable("ros_gz_interfaces", folder / "ros_gz_interfaces"),
-        pytest.MonkeyPatch.context() as patch,
     ):
-        if importlib.util.find_spec("tf2_ros") is None:
-            (folder / "tf2_ros.py").write_text(TF2_ROS)
-            patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
         yield
 
 
@@ -415,33 +389,3 @@ def test_the_force_goes_back_to_the_links(source: tuple[Executable, SimulatorPre
         "peg::link": "gazebo_world",
     }
     assert heard["peg::link"].entity.type == heard["peg::link"].entity.LINK
-
-
-@by_tf
-def test_the_cameras_pose_is_on_tf_static_for_late_readers_unless_it_is_not_wanted(
-    source: tuple[Executable, SimulatorPress],
-) -> None:
-    client = source[1].client
-    # Of the simulator's own, which keeps what it has published.
-    client.node.destroy_publisher(client._static)
-    (placed,) = client.heard_late(client.tf, "/tf_static").transforms
-    assert (placed.header.frame_id, placed.child_frame_id) == (
-        BASE_FRAME,
-        "densetact_optical_frame",
-    )
-    pose = Camera.from_specification(load_sensor("densetact2").camera).pose
-    at, turned = placed.transform.translation, placed.transform.rotation
-    np.testing.assert_allclose((at.x, at.y, at.z), pose.position_m, atol=1e-12)
-    quaternion = (turned.x, turned.y, turned.z, turned.w)
-    assert abs(np.dot(quaternion, pose.quaternion_xyzw)) == pytest.approx(1.0, abs=1e-12)
-
-    def change(label: str) -> None:
-        transition = Transition(label=label)
-        assert client.call(ChangeState, "/tactile_sim/change_state", transition=transition).success
-
-    change("deactivate")
-    change("cleanup")
-    assert client.set_parameters(publish_tf=False).successful
-    change("configure")
-    change("activate")
-    client.wait(lambda: client.node.count_publishers("/tf_static") == 0, "no pose of the camera")

@@ -209,6 +209,7 @@ class WorkingNode(Node):
         takes_information = len(signature(callback).parameters) != 1
         events = copy(options.get("event_callbacks") or SubscriptionEventCallbacks())
         opened: Any = None
+        resolved = ""
         local: LocalSubscription | None = None
 
         def take(*what: Any) -> None:
@@ -223,11 +224,11 @@ class WorkingNode(Node):
                 act()
                 return
             number = information["publication_sequence_number"]
-            hold = partial(participant.hold, opened.topic_name, number, stamp_of(message), act)
+            hold = partial(participant.hold, resolved, number, stamp_of(message), act)
             self._attempt(topic, hold)
 
         # rclpy's types know no callback that takes the information, too.
-        hear: Any = receive
+        untyped: Any = receive
 
         def adapt(event: Any) -> None:
             nonlocal opened
@@ -241,7 +242,7 @@ class WorkingNode(Node):
                 )
                 self.destroy_subscription(opened)
                 again = {**options, "qos_overriding_options": None}
-                opened = Node.create_subscription(self, msg_type, topic, hear, quality, **again)
+                opened = Node.create_subscription(self, msg_type, topic, untyped, quality, **again)
                 if local is not None:
                     local.dds = opened
                 return
@@ -257,15 +258,15 @@ class WorkingNode(Node):
         options["event_callbacks"] = events
         try:
             opened = super().create_subscription(
-                msg_type, topic, hear, quality, **topic_quality.with_check(options)
+                msg_type, topic, untyped, quality, **topic_quality.with_check(options)
             )
         except Exception as error:
             raise topic_quality.topic_refusal(self, topic, error) from error
+        # Of its own, since what is opened over DDS may be destroyed again.
+        resolved = opened.topic_name
         subscription: Any = opened
         if self._local is not None and is_stepped:
-            subscription = local = LocalSubscription(
-                self, opened.topic_name, receive, quality, opened
-            )
+            subscription = local = LocalSubscription(self, resolved, receive, quality, opened)
             self._local.subscribe_here(local)
         if participant is not None:
             participant.read(subscription)
