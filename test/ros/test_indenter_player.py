@@ -231,6 +231,10 @@ def test_where_time_begins_again_the_motion_does_and_a_leap_is_left_out():
     even = np.delete(steps_s, [leap, back])
     assert even == pytest.approx(np.full(len(even), 0.01), abs=1e-6)
     assert np.abs(np.diff(heights_m)[: back - 1]).max() < 6e-5
-    # 2 mm above the apex, where a press begins; the very first poses go before anyone hears them.
-    assert heights_m[back + 1] == pytest.approx(0.01575 + 0.002, abs=1e-9)
-    assert np.array_equal(heights_m[back + 1 :][:30], heights_m[:30])
+    # 2 mm above the apex, where a press begins.
+    again_m = heights_m[back + 1 :]
+    assert again_m[0] == pytest.approx(0.01575 + 0.002, abs=1e-9)
+    # The very first poses may go before anyone reads them.
+    unread = int(np.argmin(np.abs(again_m - heights_m[0])))
+    assert unread < 10
+    assert np.array_equal(again_m[unread:][:30], heights_m[:30])
