@@ -168,7 +168,8 @@ def test_a_home_that_cannot_be_written_ends_no_node(
 
 @pytest.mark.parametrize(
     ("node", "parameters"),
-    [("indenter_player", {"loop": "true", "wait_for_subscriber_s": 0.0}), ("xarm_sim", {})],
+    # The player waits for a subscriber.
+    [("indenter_player", {}), ("xarm_sim", {})],
 )
 def test_a_node_ends_at_the_first_sigint_at_whatever_moment(
     node: str, parameters: dict[str, object]
