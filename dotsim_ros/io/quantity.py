@@ -36,7 +36,7 @@ class Quantity:
     """What is known of a field next to its default.
 
     Attributes:
-        help: what it is, in one line; empty where the class says so below the field.
+        help: what it is, in one line, where `meanings_of` was asked for it.
         unit: of its numbers; empty for none.
         low, high: smallest and largest number that it takes.
         excludes_low: whether a number must be larger than `low`.
@@ -116,7 +116,7 @@ def meanings_of(kind: type) -> dict[str, str]:
         for field, text in pairwise(declared.body)
         if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)
     }
-    return {name: known.help or written[name] for name, (_, known) in quantities_of(kind).items()}
+    return {name: written[name] for name in quantities_of(kind)}
 
 
 def check_fields(section: str, instance: Any) -> None:

@@ -50,8 +50,10 @@ def test_bad_values_and_contradictions_are_refused_with_the_reason(changes, reas
 class Lists:
     """Fields that hold lists."""
 
-    topics: tuple[str, ...] = quantity(("wrench",), help="Texts.")
-    numbers: tuple[int, ...] = quantity((-1,), help="Any.", low=-1, high=9, any_length=True)
+    topics: tuple[str, ...] = quantity(("wrench",))
+    """Texts."""
+    numbers: tuple[int, ...] = quantity((-1,), low=-1, high=9, any_length=True)
+    """Any."""
 
     def __post_init__(self) -> None:
         check_fields("", self)

@@ -37,54 +37,29 @@ class SensorParameters:
 
     FIXED: ClassVar[str] = CONFIGURED
 
-    sensor: str = quantity(
-        "densetact2",
-        help="Sensor to simulate: a name below params/sensors, or the path of a YAML file.",
-    )
-    device: str = quantity("cpu", help="Where the gel is computed: cpu, or cuda:0.")
-    indenter: str = quantity(
-        "sphere_4mm",
-        help="What presses: a name below params/indenters, the path of an STL, OBJ, PLY or YAML "
-        "file, or a definition such as 'sphere(radius_m=0.003)' or 'mesh(path=screw.stl, "
-        "scale=0.001)'.",
-        fixed=FREE,
-    )
-    profile: str = quantity(
-        BY_CLOCK,
-        help="How accurately the gel is solved: exact (the sensor's own solver, any motion in a "
-        "frame), realtime, fast (a coarser grid), or auto (the finest that the machine affords); "
-        "by_clock: realtime, and in lockstep, which takes no other, exact. docs/run.md lists the "
-        "errors.",
-        choices=NAMES,
-    )
-    grid_spacing_m: float = quantity(
-        0.0,
-        help="Spacing of the gel's grid in place of the sensor's own, in every profile, for a rate "
-        "that this machine does not reach otherwise; 0: as in the sensor's file. docs/gel.md says "
-        "what it costs.",
-        low=0.0,
-        high=LARGEST_GRID_M,
-    )
-    idle_image: str = quantity(
-        "",
-        help="Image of the real sensor at rest, to be carried by the gel; a YAML file of its name "
-        "next to it may describe it. Empty: the sensor's own.",
-        is_path=True,
-    )
-    effects: str = quantity(
-        "",
-        help="Overlay of effects to add to the sensor, a YAML file that find_gap wrote. Empty: "
-        "none.",
-        is_path=True,
-        fixed=READ_ONLY,
-    )
-    effects_folder: str = quantity(
-        "",
-        help="Folder of effects of your own that the overlay may name, one a Python file: the "
-        "files of those that it names are run as programs. Empty: those shipped.",
-        is_path=True,
-        fixed=READ_ONLY,
-    )
+    sensor: str = quantity("densetact2")
+    """Sensor to simulate: a name below params/sensors, or the path of a YAML file."""
+    device: str = quantity("cpu")
+    """Where the gel is computed: cpu, or cuda:0."""
+    indenter: str = quantity("sphere_4mm", fixed=FREE)
+    """What presses: a name below params/indenters, the path of an STL, OBJ, PLY or YAML file, or a
+    definition such as 'sphere(radius_m=0.003)' or 'mesh(path=screw.stl, scale=0.001)'."""
+    profile: str = quantity(BY_CLOCK, choices=NAMES)
+    """How accurately the gel is solved: exact (the sensor's own solver, any motion in a frame),
+    realtime, fast (a coarser grid), or auto (the finest that the machine affords); by_clock:
+    realtime, and in lockstep, which takes no other, exact. docs/run.md lists the errors."""
+    grid_spacing_m: float = quantity(0.0, low=0.0, high=LARGEST_GRID_M)
+    """Spacing of the gel's grid in place of the sensor's own, in every profile, for a rate that
+    this machine does not reach otherwise; 0: as in the sensor's file. docs/gel.md says what it
+    costs."""
+    idle_image: str = quantity("", is_path=True)
+    """Image of the real sensor at rest, to be carried by the gel; a YAML file of its name next to
+    it may describe it. Empty: the sensor's own."""
+    effects: str = quantity("", is_path=True, fixed=READ_ONLY)
+    """Overlay of effects to add to the sensor, a YAML file that find_gap wrote. Empty: none."""
+    effects_folder: str = quantity("", is_path=True, fixed=READ_ONLY)
+    """Folder of effects of your own that the overlay may name, one a Python file: the files of
+    those that it names are run as programs. Empty: those shipped."""
 
     def __post_init__(self) -> None:
         check_fields("", self)
@@ -106,34 +81,21 @@ class TimeParameters:
 
     FIXED: ClassVar[str] = CONFIGURED
 
-    clock: str = quantity(
-        REALTIME,
-        help="realtime: frames at rate_hz from the newest pose; lockstep: one frame for each pose, "
-        "with its stamp.",
-        choices=(REALTIME, LOCKSTEP),
-    )
-    rate_hz: float = quantity(
-        25.0, help="Frames per second of the real-time clock.", low=0.5, high=240.0, fixed=FREE
-    )
-    exposure_s: float = quantity(
-        0.0,
-        help="In simulated time: how long the camera exposes; a frame's stamp is the middle of "
-        "that, so that half of it is over before anything is read out.",
-        low=0.0,
-        high=0.5,
-    )
-    image_latency_s: tuple[float, ...] = quantity(
-        (0.0,),
-        help="In simulated time: from the end of the exposure until a frame is published: one "
-        "delay, or evenly spaced quantiles of it, the smallest first.",
-        low=0.0,
-        high=LONGEST_S,
-        any_length=True,
-    )
-    latency_seed: int = quantity(0, help="Seed of image_latency_s.", low=0, high=2**31 - 1)
-    diagnostics_period_s: float = quantity(
-        1.0, help="Time between diagnostics.", low=0.05, high=60.0
-    )
+    clock: str = quantity(REALTIME, choices=(REALTIME, LOCKSTEP))
+    """realtime: frames at rate_hz from the newest pose; lockstep: one frame for each pose, with its
+    stamp."""
+    rate_hz: float = quantity(25.0, low=0.5, high=240.0, fixed=FREE)
+    """Frames per second of the real-time clock."""
+    exposure_s: float = quantity(0.0, low=0.0, high=0.5)
+    """In simulated time: how long the camera exposes; a frame's stamp is the middle of that, so
+    that half of it is over before anything is read out."""
+    image_latency_s: tuple[float, ...] = quantity((0.0,), low=0.0, high=LONGEST_S, any_length=True)
+    """In simulated time: from the end of the exposure until a frame is published: one delay, or
+    evenly spaced quantiles of it, the smallest first."""
+    latency_seed: int = quantity(0, low=0, high=2**31 - 1)
+    """Seed of image_latency_s."""
+    diagnostics_period_s: float = quantity(1.0, low=0.05, high=60.0)
+    """Time between diagnostics."""
 
     def __post_init__(self) -> None:
         check_fields("", self)
@@ -151,70 +113,37 @@ class MotionParameters:
 
     FIXED: ClassVar[str] = FREE
 
-    input: str = quantity(
-        ANY,
-        help="Which input moves the indenter; any: whichever speaks first, the other one is "
-        "refused while it goes on.",
-        choices=(POSE, TWIST, ANY),
-        fixed=CONFIGURED,
-    )
-    control: str = quantity(
-        BY_POSE,
-        help="What says how deep the indenter presses. pose: its pose; force: the normal force on "
-        "indenter/wrench, along the indenter's z axis, where the pose says all but the depth.",
-        choices=(BY_POSE, BY_FORCE),
-        fixed=READ_ONLY,
-    )
-    pose_source: str = quantity(
-        TOPIC,
-        help="Where the pose comes from. topic: indenter/pose; odometry: indenter/odometry; tf: "
-        "the place of indenter_frame in base_frame on /tf and /tf_static. docs/simulators.md.",
-        choices=(TOPIC, TF, ODOMETRY),
-        fixed=CONFIGURED,
-    )
+    input: str = quantity(ANY, choices=(POSE, TWIST, ANY), fixed=CONFIGURED)
+    """Which input moves the indenter; any: whichever speaks first, the other one is refused while
+    it goes on."""
+    control: str = quantity(BY_POSE, choices=(BY_POSE, BY_FORCE), fixed=READ_ONLY)
+    """What says how deep the indenter presses. pose: its pose; force: the normal force on
+    indenter/wrench, along the indenter's z axis, where the pose says all but the depth."""
+    pose_source: str = quantity(TOPIC, choices=(TOPIC, TF, ODOMETRY), fixed=CONFIGURED)
+    """Where the pose comes from. topic: indenter/pose; odometry: indenter/odometry; tf: the place
+    of indenter_frame in base_frame on /tf and /tf_static. docs/simulators.md."""
     twist_message: str = quantity(
-        TWIST_STAMPED,
-        help="Type of indenter/twist.",
-        choices=(TWIST_STAMPED, TWIST_PLAIN),
-        fixed=CONFIGURED,
+        TWIST_STAMPED, choices=(TWIST_STAMPED, TWIST_PLAIN), fixed=CONFIGURED
     )
-    input_timeout_s: float = quantity(
-        0.5,
-        help="After this long without a message a velocity counts as zero, the other input may "
-        "take over, and the diagnostics warn.",
-        low=0.02,
-        high=3600.0,
-    )
-    maximum_jump_m: float = quantity(
-        0.01,
-        help="A pose further than this from the one before is a new start, not a motion through "
-        "what lies between.",
-        low=1e-4,
-        high=10.0,
-    )
-    maximum_lag_m: float = quantity(
-        0.001,
-        help="An indenter that a frame shows further than this from its newest pose is warned of: "
-        "it lags behind since it moves faster than frames can follow in contact.",
-        low=1e-5,
-        high=10.0,
-    )
-    maximum_step_s: float = quantity(
-        1.0,
-        help="Stamps that step back by more than this are a new start (a bag played again); by "
-        "less, the pose is out of order and refused.",
-        low=1e-3,
-        high=1e6,
-    )
-    start_position_m: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.03),
-        help="Where the indenter starts under velocity input.",
-        low=-10.0,
-        high=10.0,
-    )
+    """Type of indenter/twist."""
+    input_timeout_s: float = quantity(0.5, low=0.02, high=3600.0)
+    """After this long without a message a velocity counts as zero, the other input may take over,
+    and the diagnostics warn."""
+    maximum_jump_m: float = quantity(0.01, low=1e-4, high=10.0)
+    """A pose further than this from the one before is a new start, not a motion through what lies
+    between."""
+    maximum_lag_m: float = quantity(0.001, low=1e-5, high=10.0)
+    """An indenter that a frame shows further than this from its newest pose is warned of: it lags
+    behind since it moves faster than frames can follow in contact."""
+    maximum_step_s: float = quantity(1.0, low=1e-3, high=1e6)
+    """Stamps that step back by more than this are a new start (a bag played again); by less, the
+    pose is out of order and refused."""
+    start_position_m: tuple[float, float, float] = quantity((0.0, 0.0, 0.03), low=-10.0, high=10.0)
+    """Where the indenter starts under velocity input."""
     start_quaternion_xyzw: tuple[float, float, float, float] = quantity(
-        (0.0, 0.0, 0.0, 1.0), help="How it is turned there.", low=-1.0, high=1.0
+        (0.0, 0.0, 0.0, 1.0), low=-1.0, high=1.0
     )
+    """How it is turned there."""
 
     def __post_init__(self) -> None:
         check_fields("", self)
@@ -243,30 +172,21 @@ class FrameParameters:
 
     FIXED: ClassVar[str] = CONFIGURED
 
-    frame_prefix: str = quantity(
-        "",
-        help="Put before base_frame, optical_frame and indenter_frame, such as left_ for one of "
-        "two sensors.",
-    )
-    base_frame: str = quantity("densetact_base", help="Frame of poses, skin and wrench.")
-    optical_frame: str = quantity(
-        "densetact_optical_frame", help="Frame of the images and the depth."
-    )
-    indenter_frame: str = quantity(
-        "indenter",
-        help="Frame of the indenter: of velocities along its axes, of pose_source tf and odometry, "
-        "and of its external wrench.",
-    )
-    world_frame: str = quantity(
-        "",
-        help="With pose_source tf: the frame of Gazebo's world, for entity_wrench. Empty: the axes "
-        "of base_frame are the world's.",
-    )
-    publish_tf: bool = quantity(
-        True,
-        help="Publish the camera's place in the base frame on /tf_static, where tf2_ros is "
-        "installed.",
-    )
+    frame_prefix: str = quantity("")
+    """Put before base_frame, optical_frame and indenter_frame, such as left_ for one of two
+    sensors."""
+    base_frame: str = quantity("densetact_base")
+    """Frame of poses, skin and wrench."""
+    optical_frame: str = quantity("densetact_optical_frame")
+    """Frame of the images and the depth."""
+    indenter_frame: str = quantity("indenter")
+    """Frame of the indenter: of velocities along its axes, of pose_source tf and odometry, and of
+    its external wrench."""
+    world_frame: str = quantity("")
+    """With pose_source tf: the frame of Gazebo's world, for entity_wrench. Empty: the axes of
+    base_frame are the world's."""
+    publish_tf: bool = quantity(True)
+    """Publish the camera's place in the base frame on /tf_static, where tf2_ros is installed."""
 
     def __post_init__(self) -> None:
         check_fields("", self)
@@ -299,23 +219,19 @@ class LinkParameters:
 
     FIXED: ClassVar[str] = CONFIGURED
 
-    entity_indenter: str = quantity(
-        "",
-        help="Gazebo's name of the link that presses, such as peg::link; its wrench goes out on "
-        "entity_wrench. Empty: none.",
-    )
+    entity_indenter: str = quantity("")
+    """Gazebo's name of the link that presses, such as peg::link; its wrench goes out on
+    entity_wrench. Empty: none."""
     entity_indenter_centre_m: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0),
-        help="Centre of mass of that link in indenter_frame: Gazebo lets forces act there.",
-        low=-10.0,
-        high=10.0,
+        (0.0, 0.0, 0.0), low=-10.0, high=10.0
     )
-    entity_sensor: str = quantity(
-        "", help="The same of the link that carries the sensor. Empty: none."
-    )
+    """Centre of mass of that link in indenter_frame: Gazebo lets forces act there."""
+    entity_sensor: str = quantity("")
+    """The same of the link that carries the sensor. Empty: none."""
     entity_sensor_centre_m: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), help="Centre of mass of that link in base_frame.", low=-10.0, high=10.0
+        (0.0, 0.0, 0.0), low=-10.0, high=10.0
     )
+    """Centre of mass of that link in base_frame."""
 
     def __post_init__(self) -> None:
         check_fields("", self)
@@ -327,34 +243,24 @@ class TopicParameters:
 
     FIXED: ClassVar[str] = CONFIGURED
 
-    image_topic: str = quantity(
-        "image_raw",
-        help="Topic of the images; compressed ones are published on its name with /compressed.",
-    )
-    camera_info_topic: str = quantity(
-        "", help="Topic of the intrinsics; empty: camera_info next to the images."
-    )
-    camera_info_url: str = quantity(
-        "",
-        help="Calibration that camera_info shows in place of the simulated camera's own, and that "
-        "set_camera_info writes: file:///PATH.yaml or package://PACKAGE/PATH.yaml.",
-        fixed=READ_ONLY,
-    )
-    wrench_topic: str = quantity("wrench", help="Topic of the wrench.")
-    difference_topic: str = quantity(
-        "image_diff",
-        help="Topic of the images' difference to the reference, and with /compressed of the same "
-        "as JPEG or PNG.",
-    )
-    reference_topic: str = quantity(
-        "reset_dt", help="Topic of std_msgs/Bool that makes what is seen now the reference."
-    )
-    radius_topic: str = quantity(
-        "depth/radius", help="Topic of the skin's distance from the centre of the dome in 8 bits."
-    )
-    radius_shown_topic: str = quantity(
-        "depth/radius_shown", help="Topic of the same as a grey rgb8 image."
-    )
+    image_topic: str = quantity("image_raw")
+    """Topic of the images; compressed ones are published on its name with /compressed."""
+    camera_info_topic: str = quantity("")
+    """Topic of the intrinsics; empty: camera_info next to the images."""
+    camera_info_url: str = quantity("", fixed=READ_ONLY)
+    """Calibration that camera_info shows in place of the simulated camera's own, and that
+    set_camera_info writes: file:///PATH.yaml or package://PACKAGE/PATH.yaml."""
+    wrench_topic: str = quantity("wrench")
+    """Topic of the wrench."""
+    difference_topic: str = quantity("image_diff")
+    """Topic of the images' difference to the reference, and with /compressed of the same as JPEG or
+    PNG."""
+    reference_topic: str = quantity("reset_dt")
+    """Topic of std_msgs/Bool that makes what is seen now the reference."""
+    radius_topic: str = quantity("depth/radius")
+    """Topic of the skin's distance from the centre of the dome in 8 bits."""
+    radius_shown_topic: str = quantity("depth/radius_shown")
+    """Topic of the same as a grey rgb8 image."""
 
     def __post_init__(self) -> None:
         check_fields("", self)
@@ -370,56 +276,31 @@ class ImageParameters:
 
     FIXED: ClassVar[str] = FREE
 
-    encoding: str = quantity(
-        "rgb8", help="Encoding of image_raw.", choices=("rgb8", "bgr8", "mono8")
-    )
-    crop_px: tuple[int, int, int, int] = quantity(
-        (0, 0, 0, 0),
-        help="Part of the sensor's image that is published: x, y, width, height; zeros: all of it.",
-        low=0,
-        high=16384,
-    )
-    image_size_px: tuple[int, int] = quantity(
-        (0, 0),
-        help="Width and height that the part is published at; zeros: as it is.",
-        low=0,
-        high=16384,
-    )
-    image_aspect: str = quantity(
-        KEEP,
-        help="Whether an image_size_px of another aspect ratio than the part's is refused (keep), "
-        "or the image squeezed to it (stretch).",
-        choices=(KEEP, STRETCH),
-    )
-    image_noise_levels: float = quantity(
-        SENSORS_OWN,
-        help="Standard deviation of the camera's noise, in grey levels of 255, in place of the "
-        "sensor's own; negative: as in the sensor's file.",
-        low=SENSORS_OWN,
-        high=LARGEST_NOISE_LEVELS,
-    )
-    fail_drop_images: bool = quantity(
-        False, help="Publish no images, as after a cut cable, to test what reads them."
-    )
-    compression: str = quantity(
-        "jpeg", help="Format of image_raw/compressed.", choices=("jpeg", "png")
-    )
-    jpeg_quality: int = quantity(95, help="Quality of JPEG.", low=1, high=100)
-    difference_gain: float = quantity(
-        8.0, help="What differences are multiplied by.", low=1.0, high=255.0
-    )
-    depth_convention: str = quantity(
-        AXIAL,
-        help="What depth/image holds: z, the depth along the optical axis as in REP 118; or range, "
-        "the distance along the ray, which a fisheye has beyond 90 degrees, too.",
-        choices=(AXIAL, RANGE),
-    )
-    radius_limits_m: tuple[float, float] = quantity(
-        (0.01223, 0.01688),
-        help="Radii that the values 0 and 256 of the 8-bit image stand for.",
-        low=0.0,
-        high=1.0,
-    )
+    encoding: str = quantity("rgb8", choices=("rgb8", "bgr8", "mono8"))
+    """Encoding of image_raw."""
+    crop_px: tuple[int, int, int, int] = quantity((0, 0, 0, 0), low=0, high=16384)
+    """Part of the sensor's image that is published: x, y, width, height; zeros: all of it."""
+    image_size_px: tuple[int, int] = quantity((0, 0), low=0, high=16384)
+    """Width and height that the part is published at; zeros: as it is."""
+    image_aspect: str = quantity(KEEP, choices=(KEEP, STRETCH))
+    """Whether an image_size_px of another aspect ratio than the part's is refused (keep), or the
+    image squeezed to it (stretch)."""
+    image_noise_levels: float = quantity(SENSORS_OWN, low=SENSORS_OWN, high=LARGEST_NOISE_LEVELS)
+    """Standard deviation of the camera's noise, in grey levels of 255, in place of the sensor's
+    own; negative: as in the sensor's file."""
+    fail_drop_images: bool = quantity(False)
+    """Publish no images, as after a cut cable, to test what reads them."""
+    compression: str = quantity("jpeg", choices=("jpeg", "png"))
+    """Format of image_raw/compressed."""
+    jpeg_quality: int = quantity(95, low=1, high=100)
+    """Quality of JPEG."""
+    difference_gain: float = quantity(8.0, low=1.0, high=255.0)
+    """What differences are multiplied by."""
+    depth_convention: str = quantity(AXIAL, choices=(AXIAL, RANGE))
+    """What depth/image holds: z, the depth along the optical axis as in REP 118; or range, the
+    distance along the ray, which a fisheye has beyond 90 degrees, too."""
+    radius_limits_m: tuple[float, float] = quantity((0.01223, 0.01688), low=0.0, high=1.0)
+    """Radii that the values 0 and 256 of the 8-bit image stand for."""
 
     def __post_init__(self) -> None:
         check_fields("", self)

@@ -32,39 +32,22 @@ class TimeStepperParameters:
 
     FIXED: ClassVar[str] = READ_ONLY
 
-    participants: str = quantity(
-        "",
-        help="YAML file of the nodes that time waits for (empty: the shipped participants.yaml)",
-        is_path=True,
-    )
-    period_s: float = quantity(
-        0.01,
-        help="simulated time of a step; a longer one leaves out what is due within it",
-        low=SHORTEST_PERIOD_S,
-        high=LONGEST_STEP_S,
-    )
-    speed: float = quantity(
-        0.0,
-        help="simulated seconds for each real one; 0: as many as the machine gives",
-        low=0.0,
-        high=1000.0,
-    )
-    start_s: float = quantity(
-        1.0, help="simulated time to begin at; above zero, which means no time", low=1e-3, high=2e9
-    )
-    patience_s: float = quantity(
-        120.0,
-        help="how long a participant may take to come, or for one step, before all ends",
-        low=0.1,
-        high=3600.0,
-    )
-    paused: bool = quantity(False, help="begin paused: time goes on by ~/step only")
-    steps_per_call: int = quantity(
-        1, help="steps that one call of ~/step takes", low=1, high=LARGEST_STEP_COUNT
-    )
-    diagnostics_period_s: float = quantity(
-        1.0, help="real time between two reports", low=0.05, high=60.0
-    )
+    participants: str = quantity("", is_path=True)
+    """YAML file of the nodes that time waits for (empty: the shipped participants.yaml)"""
+    period_s: float = quantity(0.01, low=SHORTEST_PERIOD_S, high=LONGEST_STEP_S)
+    """simulated time of a step; a longer one leaves out what is due within it"""
+    speed: float = quantity(0.0, low=0.0, high=1000.0)
+    """simulated seconds for each real one; 0: as many as the machine gives"""
+    start_s: float = quantity(1.0, low=1e-3, high=2e9)
+    """simulated time to begin at; above zero, which means no time"""
+    patience_s: float = quantity(120.0, low=0.1, high=3600.0)
+    """how long a participant may take to come, or for one step, before all ends"""
+    paused: bool = quantity(False)
+    """begin paused: time goes on by ~/step only"""
+    steps_per_call: int = quantity(1, low=1, high=LARGEST_STEP_COUNT)
+    """steps that one call of ~/step takes"""
+    diagnostics_period_s: float = quantity(1.0, low=0.05, high=60.0)
+    """real time between two reports"""
 
     def __post_init__(self) -> None:
         check_fields("", self)
