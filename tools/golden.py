@@ -30,6 +30,8 @@ SENSORS = ("densetact2", "sensor_a", "gelsight_mini")
 FRAMES = 20
 PRESS_M, SLIDE_M = 0.08e-3, 0.2e-3
 HALF = FRAMES // 2
+OF_THE_RUN = ("command", "commit", "date", "fit_seconds")
+"""What a calibration says of itself that differs from run to run."""
 
 
 def command(verb: str, *options: object) -> None:
@@ -85,7 +87,7 @@ def calibration(data: Path, folder: Path) -> dict[str, Any]:
     source = ("--data", data / "measured" / "sensor_a", "--trajectories", *names)
     command("calibrate", *source, "--hold-out", 0, "--workers", 1, *places)
     figures = json.loads(file.read_text())
-    return {key: value for key, value in figures.items() if key not in ("provenance", "seconds")}
+    return {key: value for key, value in figures.items() if key not in OF_THE_RUN}
 
 
 def loop(_data: Path, folder: Path) -> dict[str, Any]:
