@@ -59,6 +59,8 @@ class ArrayFrame:
         force_n, torque_nm: (B, 3) of the gel on the indenter, torque about the base's origin.
         is_valid: (B,) whether the pose was one that the sensor takes. Where it was not, the sensor
             shows its last valid state.
+        converged: (B,) whether the gel's solver ended before its steps did: its last one moved
+            nothing by 4 um.
     """
 
     depth_m: torch.Tensor
@@ -68,6 +70,7 @@ class ArrayFrame:
     force_n: torch.Tensor
     torque_nm: torch.Tensor
     is_valid: torch.Tensor
+    converged: torch.Tensor
 
 
 class TactileArray:
@@ -198,6 +201,7 @@ class TactileArray:
             self._force_n.clone(),
             self._torque_nm.clone(),
             is_valid,
+            state.left_m < self._gel.effort.tolerance_m,
         )
 
     def _or_last(

@@ -3,6 +3,8 @@
 
 """Many sensors at once, each against one gel and one renderer of its own; and what is not valid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -114,6 +116,20 @@ def test_a_frame_keeps_its_arrays_and_a_far_indenter_leaves_the_gel_at_rest(arra
     assert torch.equal(away.force_n[2], first.force_n[2])
     np.testing.assert_array_equal(first.depth_m.numpy(), kept)
     assert np.nanmax(np.abs(away.depth_m[1].numpy() - kept[1])) > 1e-4
+
+
+def test_a_gel_that_is_not_solved_to_the_end_is_marked(arrays, monkeypatch):
+    array = arrays("densetact2")
+    position = torch.from_numpy(places(array, 1e-3))
+    position[0] = torch.tensor([0.0, 0.0, 1.0])
+    turn = torch.tensor([[0.0, 0.0, 0.0, 1.0]]).repeat(3, 1)
+    assert array.step(position, turn).converged.all()
+    array.reset()
+    monkeypatch.setattr(array._gel, "effort", replace(array._gel.effort, outer=1))
+    hurried = array.step(position, turn)
+    assert hurried.is_valid.all()
+    # The first indenter is away.
+    assert hurried.converged.tolist() == [True, False, False]
 
 
 def test_what_is_no_pose_for_each_sensor_is_refused(arrays):
