@@ -360,6 +360,12 @@ def test_a_velocity_that_is_no_number_becomes_zero_at_once(rig: Rig) -> None:
     assert all(np.isfinite(call.speeds).all() for call in rig.driver.calls)
 
 
+def test_a_velocity_of_another_frame_is_not_passed_on(rig: Rig) -> None:
+    _, calls = lead(rig, 0.4, frame_id="world")
+    assert calls == []
+    rig.client.state("input", lambda status: int(status.values["wrong_frame"]) > 5)
+
+
 def test_the_arms_state_becomes_a_pose(rig: Rig) -> None:
     message = rig.client.newest("ee_pose", time.monotonic())
     assert message.header.frame_id == "link_base"

@@ -127,6 +127,31 @@ def test_velocities_along_base_and_tool_move_as_their_frame_says(client: ArmClie
     client.state("input", lambda status: "the arm stands" in status.message)
 
 
+def test_silence_stops_the_arm_after_a_fifth_of_a_second(client: ArmClient) -> None:
+    def is_in_time() -> bool:
+        begin_s, begin_ns = time.monotonic(), client.now_ns()
+        last_s = client.lead(0.5, lambda t: ((0.0, 0.05, 0.0), (0.0, 0.0, 0.0)))
+        last_ns = client.now_ns() - round(1e9 * (time.monotonic() - last_s))
+        settled(client)
+        stamps, places = client.positions(begin_s, sent_after_ns=begin_ns)
+        velocity, steps = velocities(stamps, places)
+        speed = np.linalg.norm(velocity, axis=1)
+        first_ns = next(
+            stamp_ns
+            for arrival_s, message in client.heard["ee_pose"]
+            if arrival_s > begin_s
+            and (stamp_ns := msg_adapters.message_stamp_ns(message)) > begin_ns
+        )
+        ends_s = 1e-9 * (first_ns - last_ns) + np.cumsum(steps)
+        goes_on = (speed[(ends_s > 0.03) & (ends_s < 0.2)] > 0.045).all()
+        # 0.2 s, latency, the lag's way down to a fiftieth, and the message's own way.
+        return bool(goes_on and (speed[ends_s > 0.2 + 0.01 + 0.08 + 0.1] < 0.002).all())
+
+    # The last velocities of one that leads it from a busy machine may be late.
+    assert any(is_in_time() for _ in range(3))
+    client.state("input", lambda status: "the arm stands" in status.message)
+
+
 def test_a_velocity_of_an_unknown_frame_is_refused_and_not_said_each_time(session: Session) -> None:
     executable, client = session
     client.trigger("reset")

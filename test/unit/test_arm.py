@@ -224,6 +224,17 @@ def test_a_stop_brakes_without_lag_and_holds_until_it_is_taken_back(is_emergency
     assert speeds(again)[-1] == pytest.approx(0.2, rel=1e-2)
 
 
+def test_a_velocity_that_is_no_number_stops_the_arm():
+    arm = new_arm()
+    states = record(arm, 0.3, lambda _: along(x=0.1))
+    now_s = states[-1].time_s
+    with pytest.raises(ValueError, match="not finite"):
+        arm.command(along(x=np.nan), now_s, along_tool=False)
+    after = record(arm, 0.15, begin_s=now_s)
+    assert speeds(after)[-1] < 1e-3
+    assert np.isfinite(positions(after)).all()
+
+
 def test_dropped_feedback_is_none_and_the_arm_moves_on():
     arm = new_arm()
     states = record(arm, 0.2, lambda _: along(x=0.1))

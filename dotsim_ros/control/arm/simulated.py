@@ -157,7 +157,13 @@ class SimulatedArm:
         Args:
             twist: (6,) finite, m/s and rad/s; limited to what the tool may do.
             along_tool: its axes are those of the tool, which turn with it, else those of the base.
+
+        Raises:
+            ValueError: a number that is not finite: the arm is stopped.
         """
+        if not np.isfinite(twist).all():
+            self.halt(now_s)
+            raise ValueError(f"the velocity holds a number that is not finite: {twist.tolist()}")
         late_s = abs(float(self._random.normal(0.0, self.response.jitter_s)))
         acts_s = now_s + self.response.latency_s + late_s + self.faults.fail_delay_s
         last_s = self._waiting[-1].acts_s if self._waiting else -np.inf
