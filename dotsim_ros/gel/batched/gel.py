@@ -99,7 +99,8 @@ class Effort:
     Attributes:
         outer: steps of the fixed point at most.
         newton: steps of each contact problem at most.
-        tolerance_m: on a CPU both end early where no gel moves farther; 0 for fixed counts.
+        tolerance_m: a gel that moves no farther is done; on a CPU it is left out, and the contact
+            problems end early. 0 for fixed counts.
         markers: that may touch an indenter, on a GPU; on a CPU as many as do.
     """
 
@@ -426,12 +427,7 @@ class BatchedGel:
             is_solved: (B,) of which gels; on a GPU, of all.
         """
         effort = self.effort
-        whole = Contact(
-            torch.zeros_like(guess_m),
-            guess_m.clone(),
-            torch.full(guess_m.shape[:2], torch.inf, device=self.device),
-            torch.zeros_like(guess_m),
-        )
+        whole = _untouched(guess_m)
         left = torch.zeros(self.count, device=self.device)
         gels = torch.arange(self.count, device=self.device)
         if self._on_host:
@@ -493,12 +489,7 @@ class BatchedGel:
         newton_steps: int,
     ) -> Contact:
         """Return the contact of gels that are linear, part by part."""
-        whole = Contact(
-            torch.zeros_like(base_m),
-            guess_m.clone(),
-            torch.full(base_m.shape[:2], torch.inf, device=self.device),
-            torch.zeros_like(base_m),
-        )
+        whole = _untouched(guess_m)
         first = 0
         for markers, compliance in parts:
             length, count = markers.index.shape
@@ -573,6 +564,16 @@ class BatchedGel:
         for name, value in new.items():
             setattr(self, name, value)
         self._left_m = torch.where(diverged, torch.inf, self._left_m)
+
+
+def _untouched(position_m: torch.Tensor) -> Contact:
+    """Return the contact of markers at (B, K, 3) that nothing touches."""
+    return Contact(
+        torch.zeros_like(position_m),
+        position_m.clone(),
+        position_m.new_full(position_m.shape[:2], torch.inf),
+        torch.zeros_like(position_m),
+    )
 
 
 def _kept_parts(
