@@ -79,6 +79,12 @@ ARM = [
 LIVE = [
     "websockets>=13",
 ]
+# data sets of simulated touches, for LeRobot and for training on frames
+DATASET = [
+    "av>=12",
+    "pyarrow>=16",
+    "zarr>=3",
+]
 # work on the machines of a cluster; without its extras, which bring a dashboard
 SCALE = [
     "ray>=2.40",
@@ -173,6 +179,7 @@ setup(
     extras_require={
         "ros": ROS,
         "arm": ARM,
+        "dataset": DATASET,
         "environments": [*ENVIRONMENTS, *MUJOCO],
         "mujoco": MUJOCO,
         "reinforcement": [*ENVIRONMENTS, *MUJOCO, *REINFORCEMENT],
@@ -187,6 +194,7 @@ setup(
             *MUJOCO,
             *REINFORCEMENT,
             *ARM,
+            *DATASET,
             *LIVE,
             *SCALE,
         ],
