@@ -8,12 +8,14 @@ from dotsim_ros import TactileArray
 array = TactileArray("densetact2", 16)
 frame = array.step(position_m, quaternion_xyzw)  # (16, 3), (16, 4)
 frame.depth_m  # (16, 64, 64)
+array.image()  # (16, 64, 64, 3)
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +26,14 @@ from numpy.typing import ArrayLike
 from dotsim_ros.gel.batched.gel import BatchedGel
 from dotsim_ros.gel.clearance import Clearance
 from dotsim_ros.gel.make import skin_of
-from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.geometry.camera import Camera, middle_part
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.markers import PrintedMarkers
-from dotsim_ros.optics.batched import BatchedRenderer, camera_of_size
+from dotsim_ros.optics.batched import BatchedImages, BatchedRenderer
+from dotsim_ros.optics.idle import part_of_idle
+from dotsim_ros.optics.network import completion_network
+from dotsim_ros.optics.pattern import idle_frame_of
+from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.sensor import FARTHEST_M
 from dotsim_ros.specification import SensorSpecification, given_sensor
 
@@ -86,8 +92,8 @@ class TactileArray:
         count: B.
         indenters: one for all sensors, or one for each: a name below `params/indenters`, a YAML
             file, a mesh in metres, a mapping as `load_indenter` takes it, or an indenter.
-        image_size: width and height of depth and normals. What is seen is the part in the middle of
-            the camera's image that has this shape.
+        image_size: width and height of depth, normals and image. What is seen is the part in the
+            middle of the camera's image that has this shape.
         friction: (B,) coefficients; None for the sensor's.
         modulus_factor: (B,) each gel's Young's modulus over the sensor's; None for 1.
         device: torch's name of the device.
@@ -126,7 +132,11 @@ class TactileArray:
         _check_memory(count, skin.vertex_count, image_size, marker_count, device)
         each = _each_of(indenters, count)
         self.count, self.device = count, device
-        self.camera = camera_of_size(Camera.from_specification(specification.camera), *image_size)
+        self._specification, self._skin_mesh, self._markers = specification, skin, markers
+        self._whole_camera = Camera.from_specification(specification.camera)
+        whole_size = self._whole_camera.width, self._whole_camera.height
+        self._part = middle_part(whole_size, image_size)
+        self.camera = self._whole_camera.part(*self._part).scaled(*image_size)
         # It takes tensors too.
         self._gel: Any = BatchedGel(
             specification,
@@ -150,11 +160,13 @@ class TactileArray:
         pose that touches nothing."""
         self._gel.reset()
         b = self.count
+        self._noise = torch.Generator(self.device).manual_seed(self._specification.noise.seed)
         self._position_m = torch.tensor([[0.0, 0.0, self._away_m]], device=self.device).repeat(b, 1)
         self._quaternion = torch.tensor([[0.0, 0.0, 0.0, 1.0]], device=self.device).repeat(b, 1)
         self._skin_m = self.rest_position_m.repeat(b, 1, 1)
         self._force_n = torch.zeros(b, 3, device=self.device)
         self._torque_nm = torch.zeros(b, 3, device=self.device)
+        self._renderer.render(self._skin_m)
 
     def step(
         self, position_m: ArrayLike | torch.Tensor, quaternion_xyzw: ArrayLike | torch.Tensor
@@ -203,6 +215,47 @@ class TactileArray:
             is_valid,
             state.left_m < self._gel.effort.tolerance_m,
         )
+
+    def image(self) -> torch.Tensor:
+        """Return the images (B, H, W, 3) of the last frame, uint8, red, green, blue: those of
+        `TactileSensor` but for what their noise is drawn by.
+
+        Raises:
+            FileNotFoundError: the sensor's idle image or network is not there.
+            ValueError: one of them is not valid, or a network completes the image and `image_size`
+                has another shape than the camera's: it knows the whole view only.
+        """
+        image = self._images.render()
+        levels = self._specification.noise.deviation_levels
+        if levels <= 0.0:
+            return image
+        size = *image.shape[:3], self._specification.camera.channel_count
+        noise = levels * torch.randn(size, generator=self._noise, device=self.device)
+        noisy = (image + noise).round().clamp(0.0, 255.0).to(torch.uint8)
+        return torch.where(image > 0, noisy, 0)
+
+    @cached_property
+    def _images(self) -> BatchedImages:
+        """Made on first use: depth and markers need none of it."""
+        size = self.camera.width, self.camera.height
+        whole = 0, 0, self._whole_camera.width, self._whole_camera.height
+        residual = self._specification.camera.residual
+        if residual and self._part != whole:
+            raise ValueError(
+                f"a network ({residual}) completes the image and knows the whole view only: "
+                f"image_size is {size}, expected the shape of {whole[2:]}"
+            )
+        idle = idle_frame_of(self._specification, self._whole_camera)
+        if (self._part, size) != (whole, whole[2:]):
+            idle = part_of_idle(idle, self._part, size)
+        network = completion_network(self._specification, self.camera)
+        completion = None
+        if network is not None:
+            untouched = SkinRenderer(self.camera, self._skin_mesh).render(
+                self._skin_mesh.rest_position_m
+            )
+            completion = network.at_rest(untouched, idle.image)
+        return BatchedImages(self._renderer, self._skin_mesh, idle, completion=completion)
 
     def _or_last(
         self, is_valid: torch.Tensor, position_m: torch.Tensor, quaternion: torch.Tensor

@@ -15,11 +15,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.camera import Camera, middle_part
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.markers import PrintedMarkers
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import batched_kernels as kernels
+from dotsim_ros.optics.idle import IdleFrame
+from dotsim_ros.optics.image import Completion, ImageRenderer, direct_light
 from dotsim_ros.optics.renderer import faces_around_vertices
 from dotsim_ros.optics.visibility import lens_of
 
@@ -43,13 +45,6 @@ class BatchView:
     marker_px: torch.Tensor
 
 
-def camera_of_size(camera: Camera, width: int, height: int) -> Camera:
-    """Return the camera of the largest part in the middle of an image that has the shape of a size,
-    at this size."""
-    part = middle_part((camera.width, camera.height), (width, height))
-    return camera.part(*part).scaled(width, height)
-
-
 class BatchedRenderer:
     """Renders B shapes of one skin through one camera.
 
@@ -59,6 +54,11 @@ class BatchedRenderer:
         count: B.
         markers: printed on the skin; None for none.
         device: torch's name of the device.
+
+    Attributes:
+        view: what was seen last.
+        rays, position, vertex_normal, pixel: for kernels, of the camera and of the skins
+            that were seen last.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class BatchedRenderer:
         self._triangles = self._upload(skin.triangles, wp.int32)
         self._first_face = self._upload(first, wp.int32)
         self._faces_around = self._upload(faces, wp.int32)
-        self._rays = self._upload(camera.rays()[0].astype(np.float32), wp.vec3)
+        self.rays = self._upload(camera.rays()[0].astype(np.float32), wp.vec3)
         corner = np.zeros((0, 3), np.int32) if markers is None else markers.corner
         weight = np.zeros((0, 3)) if markers is None else markers.weight
         self._corner = self._upload(corner.astype(np.int32), wp.int32)
@@ -90,10 +90,10 @@ class BatchedRenderer:
             return torch.empty(*shape, dtype=dtype, device=device)
 
         self._nearest = empty(*size, dtype=torch.int64)
-        self._position = _as(empty(*self._skin_shape), wp.vec3)
-        self._vertex_normal = _as(empty(*self._skin_shape), wp.vec3)
-        self._pixel = _as(empty(*self._skin_shape[:2], 2), wp.vec2)
-        self._view = BatchView(
+        self.position = _as(empty(*self._skin_shape), wp.vec3)
+        self.vertex_normal = _as(empty(*self._skin_shape), wp.vec3)
+        self.pixel = _as(empty(*self._skin_shape[:2], 2), wp.vec2)
+        self.view = BatchView(
             depth_m=empty(*size),
             normal=empty(*size, 3),
             triangle=empty(*size, dtype=torch.int32),
@@ -119,38 +119,38 @@ class BatchedRenderer:
                 f"skin_position_m is {tuple(skin.shape)} of {skin.dtype}, expected "
                 f"{self._skin_shape} of torch.float32"
             )
-        vertices, view = _as(skin.contiguous(), wp.vec3), self._view
+        vertices, view = _as(skin.contiguous(), wp.vec3), self.view
         count, vertex_count, _ = self._skin_shape
         nearest = wp.from_torch(self._nearest)
         # What a caller has changed in the view before is written again.
         normal = _as(view.normal, wp.vec3)
         self._nearest.fill_(kernels.EMPTY)
-        self._launch(
+        self.launch(
             kernels.place_vertices,
             (count, vertex_count),
             [vertices, self._origin, self._rotation, self._lens],
-            [self._position, self._pixel],
+            [self.position, self.pixel],
         )
-        self._launch(
+        self.launch(
             kernels.vertex_normals,
             (count, vertex_count),
-            [self._position, self._triangles, self._first_face, self._faces_around],
-            [self._vertex_normal],
+            [self.position, self._triangles, self._first_face, self._faces_around],
+            [self.vertex_normal],
         )
-        self._launch(
+        self.launch(
             kernels.rasterize,
             (count, len(self._triangles)),
-            [self._position, self._pixel, self._triangles, self._rays, self._lens],
+            [self.position, self.pixel, self._triangles, self.rays, self._lens],
             [nearest],
         )
-        self._launch(
+        self.launch(
             kernels.fill_view,
             tuple(nearest.shape),
-            [nearest, self._rays, self._triangles, self._position, self._vertex_normal],
+            [nearest, self.rays, self._triangles, self.position, self.vertex_normal],
             [wp.from_torch(view.depth_m), normal, wp.from_torch(view.triangle)],
         )
         if view.marker_px.shape[1]:
-            self._launch(
+            self.launch(
                 kernels.project_markers,
                 tuple(view.marker_px.shape[:2]),
                 [vertices, self._corner, self._weight, self._origin, self._rotation, self._lens],
@@ -158,10 +158,84 @@ class BatchedRenderer:
             )
         return view
 
-    def _launch(
+    def launch(
         self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]
     ) -> None:
+        """Run a kernel on the renderer's device."""
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+
+class BatchedImages:
+    """Images of what a renderer sees, as `ImageRenderer` makes them of one skin.
+
+    Args:
+        renderer: what sees the skins.
+        skin: at rest.
+        idle: frame of the renderer's camera.
+        completion: what to add to the warped images, each on the CPU; None for nothing.
+    """
+
+    def __init__(
+        self,
+        renderer: BatchedRenderer,
+        skin: SkinMesh,
+        idle: IdleFrame,
+        *,
+        completion: Completion | None = None,
+    ) -> None:
+        self._renderer = renderer
+        one = ImageRenderer(
+            renderer.camera,
+            skin,
+            idle.image,
+            lighting=idle.lighting,
+            vignetting=idle.vignetting,
+            fine=idle.fine,
+            completion=completion,
+            device=renderer.device,
+        )
+        self._one, self._shared = one, one.pixels_at_rest()
+        lighting = one.lighting
+        self._light = [one.leds, lighting.gloss, lighting.gloss_exponent]
+        # What the same kernels see of the skin at rest, so that there the image is the idle frame.
+        at_rest = BatchedRenderer(renderer.camera, skin, 1, device=renderer.device)
+        at_rest.render(torch.as_tensor(skin.rest_position_m, device=renderer.device).float()[None])
+        self._shared.rest_pixel = at_rest.pixel[0]
+        rest_light = direct_light(at_rest.position[0], at_rest.vertex_normal[0], one.leds, lighting)
+        self._rest = [rest_light, one.ambient, lighting.exponent]
+
+    def render(self) -> torch.Tensor:
+        """Return the images (B, H, W, 3) uint8 of the skins that the renderer saw last."""
+        given, view = self._renderer, self._renderer.view
+        gain = torch.empty(*given.position.shape, 3, device=given.device)
+        image = torch.empty(*view.triangle.shape, 3, dtype=torch.uint8, device=given.device)
+        given.launch(
+            kernels.brightness_gain,
+            tuple(given.position.shape),
+            [given.position, given.vertex_normal, *self._light, *self._rest],
+            [_as(gain, wp.vec3)],
+        )
+        given.launch(
+            kernels.warp_idle,
+            tuple(view.triangle.shape),
+            [
+                self._shared,
+                wp.from_torch(view.triangle),
+                wp.from_torch(view.depth_m),
+                given.rays,
+                given.position,
+                given.pixel,
+                _as(gain, wp.vec3),
+            ],
+            [wp.from_torch(image)],
+        )
+        if self._one.completion is None:
+            return image
+        completed = [
+            self._one.completed(*(part.cpu().numpy() for part in parts))
+            for parts in zip(view.depth_m, view.normal, image, strict=True)
+        ]
+        return torch.as_tensor(np.stack(completed), device=given.device)
 
 
 def _as(tensor: torch.Tensor, dtype: Any) -> Any:

@@ -15,12 +15,18 @@ from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics.kernels import (
     CRACK_TOLERANCE,
     NO_TRIANGLE,
+    ImagePixels,
+    Led,
     Lens,
+    between_corners,
+    brightness_over_rest,
     inverse_corners,
+    light_sent,
     normal_towards_camera,
     pixels_around,
     projected,
     vertex_normal_of,
+    warped_colour,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -171,3 +177,59 @@ def project_markers(
         pixel[b, m] = projected(point, lens)
     else:
         pixel[b, m] = wp.vec2(_NAN, _NAN)
+
+
+@wp.kernel
+def brightness_gain(
+    position: wp.array2d(dtype=wp.vec3),
+    outward: wp.array2d(dtype=wp.vec3),
+    leds: wp.array(dtype=Led),
+    gloss: float,
+    gloss_exponent: float,
+    rest_irradiance: wp.array(dtype=wp.vec3),
+    ambient: wp.vec3,
+    exponent: float,
+    gain: wp.array2d(dtype=wp.vec3),
+):
+    """As `kernels.irradiate` and `kernels.brightness_gain`."""
+    b, v = wp.tid()
+    light = light_sent(position[b, v], outward[b, v], leds, gloss, gloss_exponent)
+    gain[b, v] = brightness_over_rest(light, rest_irradiance[v], ambient, exponent)
+
+
+@wp.kernel
+def warp_idle(
+    shared: ImagePixels,
+    triangle: wp.array3d(dtype=wp.int32),
+    depth: wp.array3d(dtype=wp.float32),
+    ray: wp.array2d(dtype=wp.vec3),
+    position: wp.array2d(dtype=wp.vec3),
+    pixel: wp.array2d(dtype=wp.vec2),
+    gain: wp.array2d(dtype=wp.vec3),
+    image: wp.array4d(dtype=wp.uint8),
+):
+    """As `kernels.warp_idle`, of which `shared` holds what all skins have in common."""
+    b, y, x = wp.tid()
+    face = triangle[b, y, x]
+    if face == _NO_TRIANGLE or shared.lit[y, x] == wp.uint8(0):
+        for channel in range(3):
+            image[b, y, x, channel] = shared.idle[y, x, channel]
+        return
+    i0 = shared.triangles[face, 0]
+    i1 = shared.triangles[face, 1]
+    i2 = shared.triangles[face, 2]
+    _normal_all, normal_b, normal_c = inverse_corners(
+        position[b, i0], position[b, i1], position[b, i2]
+    )
+    direction = ray[y, x]
+    weight = depth[b, y, x] * wp.vec2(wp.dot(normal_b, direction), wp.dot(normal_c, direction))
+    way = between_corners(
+        shared.rest_pixel[i0] - pixel[b, i0],
+        shared.rest_pixel[i1] - pixel[b, i1],
+        shared.rest_pixel[i2] - pixel[b, i2],
+        weight,
+    )
+    brightness = between_corners(gain[b, i0], gain[b, i1], gain[b, i2], weight)
+    colour = warped_colour(shared, x, y, way, brightness)
+    for channel in range(3):
+        image[b, y, x, channel] = wp.uint8(colour[channel])

@@ -14,7 +14,7 @@ that may be learned. On a CPU threads share the rows and the vertices, see `band
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -38,8 +38,11 @@ RIM_PX = 2
 class Completion(Protocol):
     """What a learned model adds to the warped image."""
 
-    def __call__(self, view: View, warped: ImageArray) -> Float32Array:
-        """Return grey levels (H, W, 3) to add to the warped image (H, W, 3)."""
+    def __call__(
+        self, depth_m: Float32Array, normal: Float32Array, warped: ImageArray
+    ) -> Float32Array:
+        """Return grey levels (H, W, 3) to add to the warped image (H, W, 3) of a view's depth
+        (H, W) and normals (H, W, 3)."""
 
 
 def spread_outwards(image: Float32Array, region: BoolArray) -> Float32Array:
@@ -133,6 +136,8 @@ class ImageRenderer:
 
     Attributes:
         pixel_kernels: the module whose kernel colours the image; both give the same.
+        lighting, leds: the LEDs, in the base frame, and for kernels.
+        ambient: what reaches every point from all other directions.
         fine_pattern: (2 H - 1, 2 W - 1, 3) float32, what is warped: the idle image without
             vignetting, with samples half-way between its own.
         fine_brightness: (2 H - 1, 2 W - 1) that vignetting leaves at them.
@@ -167,7 +172,7 @@ class ImageRenderer:
             )
         self.completion = completion
         self._camera = camera
-        self._lighting = lighting or Lighting()
+        self.lighting = lighting or Lighting()
         self._device = wp.get_device(device)
         self.pixel_kernels = host_kernels if self._device.is_cpu else kernels
         if band_count is None:
@@ -175,7 +180,7 @@ class ImageRenderer:
         self._band_count = band_count
         self._bands = cut(camera.height, band_count)
         self._memory = FrameMemory(self._device)
-        self._leds = leds_of(self._lighting, camera, self._device)
+        self.leds = leds_of(self.lighting, camera, self._device)
         self._triangles = self._upload(skin_mesh.triangles, wp.int32)
         self._set_rest(SkinRenderer(camera, skin_mesh, device=device))
         self._set_idle(idle_image, fine, (vignetting or Vignetting()).brightness(camera))
@@ -190,8 +195,8 @@ class ImageRenderer:
         self._rest_irradiance = self._irradiance(view)
         mean = self._rest_irradiance.numpy().mean(axis=0)
         # A colour without any direct light keeps its brightness.
-        ambient = np.where(mean > 0.0, self._lighting.ambient_fraction * mean, 1.0)
-        self._ambient = wp.vec3(*ambient)
+        ambient = np.where(mean > 0.0, self.lighting.ambient_fraction * mean, 1.0)
+        self.ambient = wp.vec3(*ambient)
 
     def _set_idle(
         self, idle_image: ImageArray, fine: ImageArray | None, brightness: Float32Array
@@ -213,8 +218,8 @@ class ImageRenderer:
         return direct_light(
             self._upload(view.vertex_position_m, wp.vec3),
             self._upload(view.vertex_normal, wp.vec3),
-            self._leds,
-            self._lighting,
+            self.leds,
+            self.lighting,
             band_count=self._band_count,
         )
 
@@ -226,8 +231,8 @@ class ImageRenderer:
             inputs=[
                 self._irradiance(view),
                 self._rest_irradiance,
-                self._ambient,
-                self._lighting.exponent,
+                self.ambient,
+                self.lighting.exponent,
             ],
             outputs=[gain],
             device=self._device,
@@ -238,17 +243,22 @@ class ImageRenderer:
         """Return the brightness (V, 3) of each vertex over that at rest, without vignetting."""
         return np.asarray(self._gain(view).numpy(), dtype=np.float32)
 
+    def pixels_at_rest(self) -> Any:
+        """Return a `kernels.ImagePixels` with what all frames have in common."""
+        pixels = kernels.ImagePixels()
+        pixels.lit, pixels.vignetting = self._lit, self._brightness
+        pixels.idle, pixels.fine_flat = self._idle, self._fine_flat
+        pixels.triangles, pixels.rest_pixel = self._triangles, self._rest_pixel
+        return pixels
+
     def warp(self, view: View) -> ImageArray:
         """Return the image (H, W, 3) without the completion."""
         image = self._memory.array(self._idle.shape, wp.uint8)
-        pixels = kernels.ImagePixels()
+        pixels = self.pixels_at_rest()
         pixels.triangle_seen = self._upload(view.triangle, wp.int32)
         pixels.barycentric = self._upload(view.barycentric, wp.vec2)
-        pixels.lit, pixels.vignetting = self._lit, self._brightness
-        pixels.idle, pixels.image, pixels.fine_flat = self._idle, image, self._fine_flat
-        pixels.triangles, pixels.gain = self._triangles, self._gain(view)
         pixels.pixel = self._upload(view.vertex_pixel, wp.vec2)
-        pixels.rest_pixel = self._rest_pixel
+        pixels.image, pixels.gain = image, self._gain(view)
 
         def warp_idle(first: int, end: int) -> wp.Launch:
             return wp.launch(
@@ -264,9 +274,15 @@ class ImageRenderer:
 
     def render(self, view: View) -> ImageArray:
         """Return the image (H, W, 3), red, green, blue, of what the camera sees."""
-        warped = self.warp(view)
+        return self.completed(view.depth_m, view.normal, self.warp(view))
+
+    def completed(
+        self, depth_m: Float32Array, normal: Float32Array, warped: ImageArray
+    ) -> ImageArray:
+        """Return the warped image (H, W, 3) of a view's depth (H, W) and normals (H, W, 3) with
+        what the completion adds."""
         if self.completion is None:
             return warped
         # Rounded and clipped to whole grey levels.
-        added = cv2.add(warped, self.completion(view, warped), dtype=cv2.CV_8U)
+        added = cv2.add(warped, self.completion(depth_m, normal, warped), dtype=cv2.CV_8U)
         return np.asarray(added, dtype=np.uint8)

@@ -9,6 +9,8 @@ A pixel that sees no skin has the triangle NO_TRIANGLE.
 # Kernels are Warp's language, whose types are none of a type checker's.
 # mypy: ignore-errors
 
+from typing import Any
+
 from dotsim_ros.io.warp_runtime import wp
 
 wp.set_module_options({"enable_backward": False})
@@ -235,6 +237,44 @@ class Led:
     intensity: wp.vec3
 
 
+@wp.func
+def light_sent(
+    position: wp.vec3, outward: wp.vec3, leds: wp.array(dtype=Led), gloss: float, exponent: float
+):
+    """Light that the inner side of a point sends to the camera: the cosine of incidence, and a lobe
+    of the angle between normal and half-way direction, over squared distance, summed."""
+    total = wp.vec3(0.0, 0.0, 0.0)
+    sight = wp.normalize(position)
+    towards = wp.dot(outward, sight)
+    # Most points mirror no LED: a lobe below a ten thousandth is not worth its power.
+    least = wp.max(1.0 - 9.0 / exponent, 0.0)
+    for i in range(leds.shape[0]):
+        led = leds[i]
+        away = position - led.position
+        square = wp.dot(away, away)
+        nearness = 1.0 / wp.sqrt(square)
+        incidence = wp.dot(outward, away) * nearness
+        share = wp.max(incidence, 0.0)
+        if gloss > 0.0:
+            # The half-way direction is the sum of two unit vectors, over its length.
+            along = incidence + towards
+            length_square = 2.0 + 2.0 * wp.dot(away, sight) * nearness
+            if along > 0.0 and along * along > least * least * length_square:
+                cosine = wp.min(along / wp.sqrt(length_square), 1.0)
+                share += gloss * wp.exp(exponent * (cosine - 1.0))
+        total += led.intensity * (share * nearness * nearness)
+    return total
+
+
+@wp.func
+def brightness_over_rest(irradiance: wp.vec3, rest: wp.vec3, ambient: wp.vec3, exponent: float):
+    """Brightness of a point over that at rest; ambient light does not change."""
+    ratio = wp.cw_div(irradiance + ambient, rest + ambient)
+    return wp.vec3(
+        wp.pow(ratio[0], exponent), wp.pow(ratio[1], exponent), wp.pow(ratio[2], exponent)
+    )
+
+
 @wp.kernel
 def irradiate(
     position: wp.array(dtype=wp.vec3),
@@ -244,30 +284,9 @@ def irradiate(
     gloss_exponent: float,
     irradiance: wp.array(dtype=wp.vec3),
 ):
-    """Light that the inner side of every vertex sends to the camera: the cosine of incidence, and
-    a lobe of the angle between normal and half-way direction, over squared distance, summed."""
+    """Light that the inner side of every vertex sends to the camera."""
     v = wp.tid()
-    total = wp.vec3(0.0, 0.0, 0.0)
-    sight = wp.normalize(position[v])
-    towards = wp.dot(outward[v], sight)
-    # Most vertices mirror no LED: a lobe below a ten thousandth is not worth its power.
-    least = wp.max(1.0 - 9.0 / gloss_exponent, 0.0)
-    for i in range(leds.shape[0]):
-        led = leds[i]
-        away = position[v] - led.position
-        square = wp.dot(away, away)
-        nearness = 1.0 / wp.sqrt(square)
-        incidence = wp.dot(outward[v], away) * nearness
-        share = wp.max(incidence, 0.0)
-        if gloss > 0.0:
-            # The half-way direction is the sum of two unit vectors, over its length.
-            along = incidence + towards
-            length_square = 2.0 + 2.0 * wp.dot(away, sight) * nearness
-            if along > 0.0 and along * along > least * least * length_square:
-                cosine = wp.min(along / wp.sqrt(length_square), 1.0)
-                share += gloss * wp.exp(gloss_exponent * (cosine - 1.0))
-        total += led.intensity * (share * nearness * nearness)
-    irradiance[v] = total
+    irradiance[v] = light_sent(position[v], outward[v], leds, gloss, gloss_exponent)
 
 
 @wp.kernel
@@ -278,14 +297,9 @@ def brightness_gain(
     exponent: float,
     gain: wp.array(dtype=wp.vec3),
 ):
-    """Brightness of every vertex over that at rest; ambient light does not change."""
+    """Brightness of every vertex over that at rest."""
     v = wp.tid()
-    now = irradiance[v] + ambient
-    rest = rest_irradiance[v] + ambient
-    ratio = wp.cw_div(now, rest)
-    gain[v] = wp.vec3(
-        wp.pow(ratio[0], exponent), wp.pow(ratio[1], exponent), wp.pow(ratio[2], exponent)
-    )
+    gain[v] = brightness_over_rest(irradiance[v], rest_irradiance[v], ambient, exponent)
 
 
 @wp.struct
@@ -308,6 +322,35 @@ class ImagePixels:
     fine_flat: wp.array2d(dtype=wp.vec3)
 
 
+@wp.func
+def between_corners(a: Any, b: Any, c: Any, weight: wp.vec2):
+    return a + weight[0] * (b - a) + weight[1] * (c - a)
+
+
+@wp.func
+def warped_colour(pixels: ImagePixels, x: int, y: int, way: wp.vec2, brightness: wp.vec3):
+    """Colour of a pixel whose material point lay a way from here, in grey levels from 0.5 on."""
+    fine_x = wp.clamp(2.0 * (float(x) + way[0]), 0.0, float(pixels.fine_flat.shape[1] - 1))
+    fine_y = wp.clamp(2.0 * (float(y) + way[1]), 0.0, float(pixels.fine_flat.shape[0] - 1))
+    # The last sample is reached as the far end of the last cell.
+    column = wp.min(int(fine_x), pixels.fine_flat.shape[1] - 2)
+    row = wp.min(int(fine_y), pixels.fine_flat.shape[0] - 2)
+    right = fine_x - float(column)
+    down = fine_y - float(row)
+    upper = (1.0 - right) * pixels.fine_flat[row, column] + right * pixels.fine_flat[
+        row, column + 1
+    ]
+    lower = (1.0 - right) * pixels.fine_flat[row + 1, column] + right * pixels.fine_flat[
+        row + 1, column + 1
+    ]
+    colour = wp.cw_mul((1.0 - down) * upper + down * lower, brightness) * pixels.vignetting[y, x]
+    return wp.vec3(
+        wp.clamp(colour[0], 0.0, 255.0) + 0.5,
+        wp.clamp(colour[1], 0.0, 255.0) + 0.5,
+        wp.clamp(colour[2], 0.0, 255.0) + 0.5,
+    )
+
+
 @wp.kernel
 def warp_idle(pixels: ImagePixels, row_first: int):
     """Colour of a pixel, rows counted from one on: the idle frame where the material point lay,
@@ -327,27 +370,13 @@ def warp_idle(pixels: ImagePixels, row_first: int):
     i1 = pixels.triangles[face, 1]
     i2 = pixels.triangles[face, 2]
     weight = pixels.barycentric[y, x]
-    back = pixels.rest_pixel[i0] - pixels.pixel[i0]
-    back_b = pixels.rest_pixel[i1] - pixels.pixel[i1] - back
-    back_c = pixels.rest_pixel[i2] - pixels.pixel[i2] - back
-    bright = pixels.gain[i0]
-    way = back + weight[0] * back_b + weight[1] * back_c
-    brightness = (
-        bright + weight[0] * (pixels.gain[i1] - bright) + weight[1] * (pixels.gain[i2] - bright)
+    way = between_corners(
+        pixels.rest_pixel[i0] - pixels.pixel[i0],
+        pixels.rest_pixel[i1] - pixels.pixel[i1],
+        pixels.rest_pixel[i2] - pixels.pixel[i2],
+        weight,
     )
-    fine_x = wp.clamp(2.0 * (float(x) + way[0]), 0.0, float(pixels.fine_flat.shape[1] - 1))
-    fine_y = wp.clamp(2.0 * (float(y) + way[1]), 0.0, float(pixels.fine_flat.shape[0] - 1))
-    # The last sample is reached as the far end of the last cell.
-    column = wp.min(int(fine_x), pixels.fine_flat.shape[1] - 2)
-    row = wp.min(int(fine_y), pixels.fine_flat.shape[0] - 2)
-    right = fine_x - float(column)
-    down = fine_y - float(row)
-    upper = (1.0 - right) * pixels.fine_flat[row, column] + right * pixels.fine_flat[
-        row, column + 1
-    ]
-    lower = (1.0 - right) * pixels.fine_flat[row + 1, column] + right * pixels.fine_flat[
-        row + 1, column + 1
-    ]
-    colour = wp.cw_mul((1.0 - down) * upper + down * lower, brightness) * pixels.vignetting[y, x]
+    brightness = between_corners(pixels.gain[i0], pixels.gain[i1], pixels.gain[i2], weight)
+    colour = warped_colour(pixels, x, y, way, brightness)
     for channel in range(3):
-        pixels.image[y, x, channel] = wp.uint8(wp.clamp(colour[channel], 0.0, 255.0) + 0.5)
+        pixels.image[y, x, channel] = wp.uint8(colour[channel])

@@ -104,7 +104,7 @@ def whole_optics(
         marks.append(clock())
         warped = images.warp(view)
         marks.append(clock())
-        added = completion(view, warped)
+        added = completion(view.depth_m, view.normal, warped)
         marks.append(clock())
         cv2.add(warped, added, dtype=cv2.CV_8U)
         marks.append(clock())

@@ -11,7 +11,8 @@ import pytest
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.specification import load_sensor
+from dotsim_ros.sensor import TactileSensor
+from dotsim_ros.specification import NoiseSpecification, load_sensor
 
 pytest.importorskip("torch")
 
@@ -116,6 +117,44 @@ def test_a_frame_keeps_its_arrays_and_a_far_indenter_leaves_the_gel_at_rest(arra
     assert torch.equal(away.force_n[2], first.force_n[2])
     np.testing.assert_array_equal(first.depth_m.numpy(), kept)
     assert np.nanmax(np.abs(away.depth_m[1].numpy() - kept[1])) > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("name", "size"), [("sensor_a", (640, 480)), ("gelsight_mini_markers", (160, 120))]
+)
+def test_images_are_those_of_one_sensor(name, size):
+    array = TactileArray(name, 3, image_size=size)
+    at_rest = array.image()
+    frame = array.step(places(array, [3e-4, 4e-4, 5e-4]), [[0.0, 0.0, 0.0, 1.0]] * 3)
+    image = array.image().numpy().astype(int)
+    one = TactileSensor.load(name)
+    # A network, as sensor_a has one, takes the whole view only.
+    if not one.has_network:
+        one.set_view(size_px=size)
+    np.testing.assert_array_equal(at_rest[0], one.idle_image)
+    gel = one.press(None)
+    for b, skin_m in enumerate(frame.skin_position_m.double().numpy()):
+        right = one.see(replace(gel, skin_position_m=skin_m), None).image
+        assert np.abs(image[b] - right).max() <= 1
+        assert np.mean(image[b] != right) < 1e-3
+        assert np.abs(right.astype(int) - one.idle_image).max() > 10
+
+
+def test_images_have_the_noise_of_the_camera_and_a_network_its_whole_view():
+    sensor = load_sensor("flat_pad")
+    clean = TactileArray(sensor, 2).image().float()
+    noisy = TactileArray(replace(sensor, noise=NoiseSpecification(deviation_levels=2.0)), 2)
+    off = noisy.image().float() - clean
+    inside = (clean > 20.0) & (clean < 235.0)
+    assert off[inside].std() == pytest.approx(2.0, rel=0.05)
+    assert not torch.equal(off[0], off[1])
+    assert not torch.equal(noisy.image(), clean + off)
+    noisy.reset()
+    assert torch.equal(noisy.image(), clean + off)
+    with pytest.raises(
+        ValueError, match=r"image_size is \(64, 64\), expected the shape of \(640, 480"
+    ):
+        TactileArray("sensor_a", 1).image()
 
 
 def test_a_gel_that_is_not_solved_to_the_end_is_marked(arrays, monkeypatch):

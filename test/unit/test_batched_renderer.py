@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from dotsim_ros.gel.make import skin_of
-from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.geometry.camera import Camera, middle_part
 from dotsim_ros.geometry.markers import PrintedMarkers
+from dotsim_ros.optics.idle import part_of_idle
+from dotsim_ros.optics.image import ImageRenderer
+from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import load_sensor
 
@@ -16,7 +19,7 @@ pytest.importorskip("torch")
 
 import torch
 
-from dotsim_ros.optics.batched import BatchedRenderer, camera_of_size
+from dotsim_ros.optics.batched import BatchedImages, BatchedRenderer
 
 SENSORS = ("densetact2", "gelsight_mini_markers")
 
@@ -47,15 +50,21 @@ def skins(rest_m):
 def test_each_skin_is_seen_as_by_the_renderer_of_one(name, size):
     sensor = load_sensor(name)
     mesh = skin_of(sensor.gel)
-    camera = camera_of_size(Camera.from_specification(sensor.camera), *size)
-    assert (camera.width, camera.height) == size
+    whole = Camera.from_specification(sensor.camera)
+    part = middle_part((whole.width, whole.height), size)
+    camera = whole.part(*part).scaled(*size)
     markers = PrintedMarkers(sensor.markers, mesh) if sensor.markers.columns else None
     position = skins(mesh.rest_position_m)
     many = BatchedRenderer(camera, mesh, len(position), markers=markers)
     # What the call before has left does not show.
     many.render(torch.as_tensor(position[::-1].copy()))
     view = many.render(torch.as_tensor(position))
+    idle = part_of_idle(idle_frame_of(sensor, whole), part, size)
+    image = BatchedImages(many, mesh, idle).render().numpy().astype(int)
     one = SkinRenderer(camera, mesh)
+    images = ImageRenderer(
+        camera, mesh, idle.image, lighting=idle.lighting, vignetting=idle.vignetting, fine=idle.fine
+    )
     for b, skin in enumerate(position):
         right = one.render(skin)
         np.testing.assert_array_equal(view.triangle[b] != -1, right.mask)
@@ -64,6 +73,12 @@ def test_each_skin_is_seen_as_by_the_renderer_of_one(name, size):
         np.testing.assert_allclose(view.normal[b], right.normal, atol=1e-4)
         expected = np.zeros((0, 2)) if markers is None else markers.motion(skin, camera).position_px
         np.testing.assert_allclose(view.marker_px[b], expected, atol=1e-3)
+        # A last bit of the geometry may round to another grey level.
+        off = np.abs(image[b] - images.render(right))
+        assert off.max() <= 1
+        assert np.mean(off > 0) < 1e-3
+    np.testing.assert_array_equal(image[0], idle.image)
+    assert np.abs(image[1] - idle.image).max() > 10
     out = camera.project(position[2])
     assert np.any((out < 0.0) | (out > np.array(size)))
     # Where a skin lies over itself, its triangles turn to the camera the other way round.

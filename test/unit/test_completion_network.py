@@ -155,16 +155,17 @@ def test_nothing_is_added_at_rest_or_outside_the_lit_disc(
     untouched = renderer.render(dome.rest_position_m)
     completion = open_network(made[0], camera).at_rest(untouched, idle)
     images = ImageRenderer(camera, dome, idle, completion=completion)
-    assert not completion(untouched, idle).any()
+    assert not completion(untouched.depth_m, untouched.normal, idle).any()
     assert np.array_equal(images.render(untouched), idle)
     warped = images.warp(pressed)
     shown = images.render(pressed)
     assert not np.array_equal(shown, warped)
-    added = warped + completion(pressed, warped)
+    completed = completion(pressed.depth_m, pressed.normal, warped)
+    added = warped + completed
     expected = np.clip(np.rint(added), 0.0, 255.0)
     assert np.abs(shown - expected).max() <= 1.0
     assert np.mean(shown != expected) < 1e-4
-    assert not completion(pressed, warped)[~lit_region(idle)].any()
+    assert not completed[~lit_region(idle)].any()
 
 
 def test_kinds_that_replace_the_carried_image_add_up_to_their_own(
@@ -175,7 +176,10 @@ def test_kinds_that_replace_the_carried_image_add_up_to_their_own(
     warped = ImageRenderer(camera, dome, idle).warp(pressed)
     dark = np.zeros_like(warped)
     # Whatever was warped, the same image comes out: its geometry's.
-    assert np.allclose(warped + completion(pressed, warped), completion(pressed, dark), atol=1e-3)
+    first, second = (
+        completion(pressed.depth_m, pressed.normal, image) + image for image in (warped, dark)
+    )
+    assert np.allclose(first, second, atol=1e-3)
 
 
 def test_the_camera_counts_but_not_its_resolution(made, camera):
@@ -290,7 +294,7 @@ def test_the_stand_in_sensor_ships_with_its_network():
     images = ImageRenderer(camera, skin, idle.image, lighting=idle.lighting, completion=completion)
     assert np.array_equal(images.render(untouched), idle.image)
     pressed = renderer.render(dented(skin, np.array([0.0, 0.0, 1.0]), 0.002, 0.004))
-    added = completion(pressed, images.warp(pressed))
+    added = completion(pressed.depth_m, pressed.normal, images.warp(pressed))
     assert 1.0 < np.abs(added).max() < 100.0
 
 
@@ -310,7 +314,7 @@ def test_two_threads_add_what_one_adds_to_the_last_bit():
             sensor=shipped.name,
             camera=camera,
             thread_count=thread_count,
-        ).at_rest(untouched, idle)(view, warped)
+        ).at_rest(untouched, idle)(view.depth_m, view.normal, warped)
         for thread_count in (1, 2, None)
     )
     assert np.abs(one).max() > 1.0

@@ -127,8 +127,8 @@ def test_kernels_of_a_cpu_colour_the_image_as_the_others_do(camera, dome, render
 
 
 def test_residual_is_added_and_clipped(camera, dome, renderer, idle):
-    def brighten(view, warped):
-        assert view.depth_m.shape == warped.shape[:2]
+    def brighten(depth_m, normal, warped):
+        assert depth_m.shape == warped.shape[:2]
         return np.full(warped.shape, 100.4, dtype=np.float32)
 
     images = ImageRenderer(camera, dome, idle.image, completion=brighten)

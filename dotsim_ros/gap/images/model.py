@@ -208,7 +208,7 @@ class TwinCamera:
         warped = self._image.warp(view)
         image = warped.astype(np.float32)
         if self._image.completion is not None:
-            image = image + self._image.completion(view, warped)
+            image = image + self._image.completion(view.depth_m, view.normal, warped)
         return np.clip(image, np.float32(0.0), np.float32(255.0))
 
 

@@ -106,9 +106,12 @@ class LearnedCompletion:
     ) -> None:
         self._network, self._given, self._idle = network, given, idle
 
-    def __call__(self, view: View, warped: ImageArray) -> Float32Array:
-        """Return grey levels (H, W, 3) to add to the warped image (H, W, 3)."""
-        frame = self._given.frame(view.depth_m, view.normal, warped)
+    def __call__(
+        self, depth_m: Float32Array, normal: Float32Array, warped: ImageArray
+    ) -> Float32Array:
+        """Return grey levels (H, W, 3) to add to the warped image (H, W, 3) of a view's depth
+        (H, W) and normals (H, W, 3)."""
+        frame = self._given.frame(depth_m, normal, warped)
         added = self._network.added(frame, self._given.rest, self._given.image(warped))
         completion = resized(cv2.merge(list(255.0 * added)), (warped.shape[1], warped.shape[0]))
         match BASES[self._network.card.kind]:
