@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from dotsim_ros.gel.batched.gel import BatchedGel
+from dotsim_ros.gel.batched.gel import BatchedGel, Grid
 from dotsim_ros.gel.clearance import Clearance
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.camera import Camera, middle_part
@@ -43,11 +43,13 @@ AWAY_M = 5.0e-3
 """From the gel to an indenter that is away, at least."""
 SMALLEST_NORM = 1.0e-6
 """Of a quaternion."""
-TABLE_BYTES = 1.0e9
-"""Of the tables that all gels share."""
+TABLE_BYTES: dict[Grid, float] = {"default": 1.0e9, "fine": 1.6e9}
+"""Of the tables that all gels share, by their grid."""
 VECTORS_A_MARKER = 50
 """What a gel keeps and computes with, in vectors (3 numbers of single precision) for each marker of
 its skin..."""
+GRID_BYTES: dict[Grid, float] = {"default": 0.0, "fine": 10.0e6}
+"""...more on a finer grid..."""
 CONTACT_BYTES = 60.0e6
 """...and on a GPU, where all gels solve their contact at once, for that."""
 
@@ -96,6 +98,7 @@ class TactileArray:
             middle of the camera's image that has this shape.
         friction: (B,) coefficients; None for the sensor's.
         modulus_factor: (B,) each gel's Young's modulus over the sensor's; None for 1.
+        grid: of the gel; `fine`, of half the spacing, is for small contacts, edges and cones.
         device: torch's name of the device.
 
     Attributes:
@@ -117,6 +120,7 @@ class TactileArray:
         image_size: tuple[int, int] = (64, 64),
         friction: ArrayLike | None = None,
         modulus_factor: ArrayLike | None = None,
+        grid: Grid = "default",
         device: str = "cpu",
     ) -> None:
         if count < 1:
@@ -129,7 +133,9 @@ class TactileArray:
         if specification.markers.columns:
             markers = PrintedMarkers(specification.markers, skin)
         marker_count = 0 if markers is None else len(markers.corner)
-        _check_memory(count, skin.vertex_count, image_size, marker_count, device)
+        if grid not in TABLE_BYTES:
+            raise ValueError(f"grid is {grid!r}, expected {' or '.join(TABLE_BYTES)}")
+        _check_memory(count, skin.vertex_count, image_size, marker_count, grid, device)
         each = _each_of(indenters, count)
         self.count, self.device = count, device
         self._specification, self._skin_mesh, self._markers = specification, skin, markers
@@ -144,6 +150,7 @@ class TactileArray:
             count,
             friction=_checked(friction, "friction", least=0.0),
             modulus_factor=_checked(modulus_factor, "modulus_factor", least=1e-6),
+            grid=grid,
             device=device,
         )
         self._renderer = BatchedRenderer(self.camera, skin, count, markers=markers, device=device)
@@ -323,7 +330,12 @@ def _checked(values: ArrayLike | None, name: str, *, least: float) -> np.ndarray
 
 
 def _check_memory(
-    count: int, vertex_count: int, size: tuple[int, int], marker_count: int, device: str
+    count: int,
+    vertex_count: int,
+    size: tuple[int, int],
+    marker_count: int,
+    grid: Grid,
+    device: str,
 ) -> None:
     """Refuse more sensors than fit into the free memory of a device, before any is taken.
 
@@ -337,11 +349,12 @@ def _check_memory(
     # z-buffer, triangle, and depth and normal twice: the renderer's and the frame's.
     pixel = 8 + 4 + 2 * (4 + 12)
     each = 12.0 * VECTORS_A_MARKER * vertex_count + pixel * size[0] * size[1] + 16 * marker_count
-    each += CONTACT_BYTES if on_gpu else 0.0
-    fitting = max(0, int((free - TABLE_BYTES) / each))
+    each += GRID_BYTES[grid] + (CONTACT_BYTES if on_gpu else 0.0)
+    tables = TABLE_BYTES[grid]
+    fitting = max(0, int((free - tables) / each))
     if count > fitting:
         raise ValueError(
-            f"{count} sensors take about {(TABLE_BYTES + count * each) / 1e9:.1f} GB, and {device} "
+            f"{count} sensors take about {(tables + count * each) / 1e9:.1f} GB, and {device} "
             f"has {free / 1e9:.1f} GB free: at most {fitting} fit"
         )
 

@@ -3,6 +3,8 @@
 
 """Error of the fast gel against its cost, for grids of 2.4, 1.8 and 1.2 mm.
 
+The batched gel is in it on its default and on its fine grid, which is that of the reference.
+
 The reference is the same model on a grid of 1.2 mm, solved until no marker moves by more than 1 um,
 with contact at every marker.
 Its compliance at rest is inverted once, which takes some ten minutes and 6 GB; then a motion of an
@@ -25,11 +27,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.gel.batched.gel import BatchedGel, Grid
 from dotsim_ros.gel.implicit.contact_points import ContactPoints
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.make import body_of, material_of, skin_of
 from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.io.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.io.files import cache_directory, whole_file
 from dotsim_ros.nodes.tactile_sim.profiles import REALTIME
@@ -43,6 +46,8 @@ SLIDE_DEPTH_M = 1.5e-3
 SLIDE_STEP_M = 0.4e-3
 """In a frame at 10 mm/s."""
 MOTIONS = ("press", "slide")
+MARKS = "osD^vP"
+"""Of the methods in the picture."""
 SLIDES_M = (0.8e-3, 1.6e-3, 2.4e-3)
 DIRECTION = (0.3, 0.15, 1.0)
 FRAME_S = 0.04
@@ -62,12 +67,13 @@ DECIDED_BY = (
 @dataclass(frozen=True)
 class Method:
     """One row: a grid, with or without the refinement, and the solver's effort where it is not the
-    sensor's own: tolerance, and most iterations."""
+    sensor's own: tolerance, and most iterations; or the grid of the batched gel."""
 
     name: str
     spacing_m: float
     refined: bool
     effort: tuple[float, int] | None = None
+    batched: Grid | None = None
 
 
 DEFAULT = Method("2.4 mm, refined (default)", 2.4e-3, True)
@@ -81,7 +87,10 @@ METHODS = (
     DEFAULT,
     Method("2.4 mm", 2.4e-3, False),
     Method("1.8 mm", 1.8e-3, False),
+    Method("2.4 mm, refined, batched", 2.4e-3, True, batched="default"),
+    Method("1.2 mm, batched", 1.2e-3, False, batched="fine"),
 )
+METHOD_NAMES = tuple(method.name for method in METHODS)
 REFERENCE = Method("1.2 mm (reference)", 1.2e-3, False, (1e-6, 60))
 
 
@@ -92,8 +101,40 @@ def press_pose(outer_radius_m: float, depth_m: float) -> Pose:
     return Pose(axis * (outer_radius_m - depth_m), half / np.linalg.norm(half))
 
 
+class OneOfBatch:
+    """A batch of one gel, moved as the implicit gel is."""
+
+    def __init__(self, specification: SensorSpecification, grid: Grid, indenter: str) -> None:
+        self._gel = BatchedGel(specification, load_indenter(indenter), 1, grid=grid)
+        self.reset = self._gel.reset
+
+    def step(self, poses: list[Pose], _dt_s: float) -> list[OneState]:
+        """Move the indenter to the pose."""
+        [pose] = poses
+        state = self._gel.step(pose.position_m[None], pose.quaternion_xyzw[None])
+        force_n, torque_nm = (each[0].double().numpy() for each in (state.force_n, state.torque_nm))
+        return [
+            OneState(
+                state.skin_position_m[0].double().numpy(),
+                Wrench(force_n, torque_nm),
+                float(state.max_penetration_m[0]),
+                bool(state.left_m[0] < self._gel.effort.tolerance_m),
+            )
+        ]
+
+
+@dataclass(frozen=True)
+class OneState:
+    """What is judged of a gel after a step, as `GelState` has it."""
+
+    skin_position_m: NDArray[np.float64]
+    wrench: Wrench
+    max_penetration_m: float
+    converged: bool
+
+
 def make(specification: SensorSpecification, method: Method, indenter: str) -> ImplicitGel:
-    """Return the gel of one row."""
+    """Return the implicit gel of one row."""
     solver = replace(specification.solver, grid_spacing_m=method.spacing_m, refined=method.refined)
     if method.effort is not None:
         tolerance_m, iterations = method.effort
@@ -126,11 +167,12 @@ def motions_of(outer_radius_m: float) -> dict[str, tuple[list[Pose], dict[int, f
 
 
 def moved(
-    gel: ImplicitGel, poses: list[Pose], judged: dict[int, float], name: str
-) -> tuple[dict[float, GelState], list[float]]:
+    gel: ImplicitGel | OneOfBatch, poses: list[Pose], judged: dict[int, float], name: str
+) -> tuple[dict[float, GelState | OneState], list[float]]:
     """Go through a motion; return the judged states by their length, and the steps' seconds."""
     gel.reset()
-    states, seconds = {}, []
+    states: dict[float, GelState | OneState] = {}
+    seconds: list[float] = []
     for number, pose in enumerate(poses):
         begun = time.perf_counter()
         state = gel.step([pose], FRAME_S)[0]
@@ -172,7 +214,7 @@ def reference(
 
 
 def compare(
-    state: GelState, truth: dict[str, NDArray[np.float64]], seconds: list[float]
+    state: GelState | OneState, truth: dict[str, NDArray[np.float64]], seconds: list[float]
 ) -> dict[str, Any]:
     """Return the errors of one state and the cost of the steps."""
     error = np.linalg.norm(state.skin_position_m - truth["skin"], axis=1)
@@ -218,7 +260,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         cost, skin_um, share = np.array(worst).T
         for axis, error in ((skin, skin_um), (force, 100.0 * share)):
             axis.plot(cost, error, color=colours[indenter], alpha=0.4)
-            for x, y, marker in zip(cost, error, "osD^", strict=False):
+            for x, y, marker in zip(cost, error, MARKS, strict=False):
                 axis.plot(x, y, marker, color=colours[indenter])
     skin.axhline(60.0, color="grey", linestyle=":")
     force.axhline(2.0, color="grey", linestyle=":")
@@ -229,7 +271,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     lines = [plt.Line2D([], [], color=colours[name], label=name) for name in indenters]
     lines += [
         plt.Line2D([], [], color="black", marker=marker, linestyle="", label=method)
-        for method, marker in zip(methods, "osD^", strict=False)
+        for method, marker in zip(methods, MARKS, strict=False)
     ]
     figure.legend(handles=lines, loc="outside lower center", ncols=5, fontsize=8)
     figure.tight_layout(rect=(0.0, 0.12, 1.0, 1.0))
@@ -242,6 +284,7 @@ def accuracy(
     figure: Path | None = Path("docs/images/gel_error_cost.png"),
     indenters: tuple[str, ...] = INDENTERS,
     motions: tuple[str, ...] = MOTIONS,
+    methods: tuple[str, ...] = METHOD_NAMES,
 ) -> dict[str, Any]:
     """Error of the fast gel against its cost, for grids of 2.4, 1.8 and 1.2 mm.
 
@@ -249,8 +292,11 @@ def accuracy(
         figure: picture (PNG) of error against cost.
         indenters: names or files.
         motions: of press, slide.
+        methods: of the gel, by their names in the record.
     """
     expect_known("motion", motions, MOTIONS)
+    expect_known("method", methods, METHOD_NAMES)
+    chosen = [method for method in METHODS if method.name in methods]
     specification = load_sensor("densetact2")
     reference_gel = cache(lambda: make(specification, REFERENCE, INDENTERS[0]))
     rows: list[dict[str, Any]] = []
@@ -258,8 +304,12 @@ def accuracy(
         for motion in motions:
             poses, judged = motions_of(specification.gel.outer_radius_m)[motion]
             truth = reference(reference_gel, specification, indenter, poses, judged)
-            for method in METHODS:
-                gel = make(specification, method, indenter)
+            for method in chosen:
+                gel = (
+                    make(specification, method, indenter)
+                    if method.batched is None
+                    else OneOfBatch(specification, method.batched, indenter)
+                )
                 states, seconds = moved(gel, poses, judged, indenter)
                 rows += [
                     {

@@ -129,6 +129,20 @@ def test_a_pad_and_an_unrefined_gel_are_solved_too():
             )
 
 
+def test_the_fine_grid_is_one_of_half_the_spacing_without_refinement():
+    pad = load_sensor("flat_pad")
+    pad = replace(pad, gel=replace(pad.gel, pad_size_m=(0.012, 0.01, 0.004)))
+    solver = replace(pad.solver, grid_spacing_m=0.5 * pad.solver.grid_spacing_m, refined=False)
+    cone = load_indenter("cone")
+    fine = BatchedGel(pad, cone, 1, grid="fine")
+    single = solved_closely(replace(pad, solver=solver), cone)
+    pose = Pose(np.array([1e-3, 0.0, pad.gel.pad_size_m[2] - 0.6e-3]))
+    found, [right] = step(fine, [pose]), single.step([pose], 0.04)
+    skin_m = found.skin_position_m[0].numpy() - right.skin_position_m
+    assert np.linalg.norm(skin_m, axis=1).max() < 10e-6
+    np.testing.assert_allclose(found.force_n[0].numpy()[2], right.wrench.force_n[2], rtol=0.01)
+
+
 def test_a_thin_pad_is_followed_deep_and_aside():
     sensor = load_sensor("gelsight_mini")
     sensor = replace(sensor, solver=replace(sensor.solver, refined=False))

@@ -194,3 +194,11 @@ def test_more_sensors_than_fit_are_refused_before_any_memory_is_taken(monkeypatc
     monkeypatch.setattr(tactile_array, "BatchedGel", None)
     with pytest.raises(ValueError, match=r"1000000000 sensors take .* GB free: at most \d+ fit"):
         TactileArray("densetact2", 10**9)
+    least_gb = {}
+    for grid in ("default", "fine"):
+        with pytest.raises(ValueError, match="at most") as refused:
+            TactileArray("densetact2", 10**6, grid=grid)
+        least_gb[grid] = float(str(refused.value).split("about ")[1].split(" GB")[0])
+    assert least_gb["fine"] > 2.0 * least_gb["default"]
+    with pytest.raises(ValueError, match="grid is 'finest', expected default or fine"):
+        TactileArray("densetact2", 2, grid="finest")

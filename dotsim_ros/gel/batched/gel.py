@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -40,6 +40,9 @@ from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.specification import SensorSpecification
 
+Grid = Literal["default", "fine"]
+"""The sensor's own grid with its refinement, or one of half the spacing, that of the refinement,
+for the whole gel."""
 LARGEST_MOVE_M = 0.6e-3
 """The indenter moves no farther in a substep, nor than twice its depth in the gel at rest..."""
 TOUCH_SHARE = 0.05
@@ -120,6 +123,8 @@ class BatchedGel:
         friction: (B,) coefficients; None for the sensor's.
         modulus_factor: (B,) each gel's Young's modulus over the sensor's; None for 1.
         effort: of a substep.
+        grid: for `densetact2`, the fine one's table takes 0.5 GB (1.6 GB while it is computed for
+            the first time, in a minute on one core), and a step some ten times as long.
         device: torch's name of the device.
 
     Attributes:
@@ -140,6 +145,7 @@ class BatchedGel:
         friction: FloatArray | None = None,
         modulus_factor: FloatArray | None = None,
         effort: Effort | None = None,
+        grid: Grid = "default",
         device: str = "cpu",
     ) -> None:
         s = specification
@@ -150,13 +156,15 @@ class BatchedGel:
             )
         self.count, self.device, self.effort = count, device, effort or Effort()
         law, body, mesh = law_of(s.material), body_of(s.gel), skin_of(s.gel)
-        d = discretize(body, mesh.rest_position_m, s.solver.grid_spacing_m)
+        is_fine = grid == "fine"
+        spacing_m = s.solver.grid_spacing_m * (0.5 if is_fine else 1.0)
+        d = discretize(body, mesh.rest_position_m, spacing_m)
         self._spacing_m = d.spacing_m
         self._elastic = ElasticForces(d, law, count, device)
         skin_m = mesh.rest_position_m
         self._rest = RestCompliance(d, kept_blocks(body, skin_m, d, law), device)
         fine = None
-        if s.solver.refined:
+        if s.solver.refined and not is_fine:
             table = refine(body, skin_m, d, lambda: kept_compliance(body, skin_m, d, law), law)
             fine = stencils_of(table.skin_weight, device), table
         self._rest_m = torch.as_tensor(mesh.rest_position_m, dtype=torch.float32, device=device)
