@@ -111,6 +111,12 @@ class TactileArray:
             the sensors do not fit into the device's memory.
     """
 
+    _position_m: torch.Tensor
+    _quaternion: torch.Tensor
+    _skin_m: torch.Tensor
+    _force_n: torch.Tensor
+    _torque_nm: torch.Tensor
+
     def __init__(
         self,
         sensor: str | Path | SensorSpecification,
@@ -162,17 +168,29 @@ class TactileArray:
         )
         self.reset()
 
-    def reset(self) -> None:
-        """Return all sensors to rest, with their indenters away. One alone returns to rest by a
-        pose that touches nothing."""
-        self._gel.reset()
+    def reset(self, sensors: torch.Tensor | None = None) -> None:
+        """Return sensors to rest, with their indenters away.
+
+        Args:
+            sensors: (B,) bool, which; None for all.
+        """
+        self._gel.reset(sensors)
+        if sensors is None:
+            self._noise = torch.Generator(self.device).manual_seed(self._specification.noise.seed)
         b = self.count
-        self._noise = torch.Generator(self.device).manual_seed(self._specification.noise.seed)
-        self._position_m = torch.tensor([[0.0, 0.0, self._away_m]], device=self.device).repeat(b, 1)
-        self._quaternion = torch.tensor([[0.0, 0.0, 0.0, 1.0]], device=self.device).repeat(b, 1)
-        self._skin_m = self.rest_position_m.repeat(b, 1, 1)
-        self._force_n = torch.zeros(b, 3, device=self.device)
-        self._torque_nm = torch.zeros(b, 3, device=self.device)
+        rest = {
+            "_position_m": torch.tensor([[0.0, 0.0, self._away_m]], device=self.device),
+            "_quaternion": torch.tensor([[0.0, 0.0, 0.0, 1.0]], device=self.device),
+            "_skin_m": self.rest_position_m[None],
+            "_force_n": torch.zeros(1, 3, device=self.device),
+            "_torque_nm": torch.zeros(1, 3, device=self.device),
+        }
+        for name, value in rest.items():
+            if sensors is None:
+                setattr(self, name, value.repeat(b, *(1,) * (value.dim() - 1)))
+            else:
+                chosen = sensors.view(-1, *(1,) * (value.dim() - 1))
+                setattr(self, name, torch.where(chosen, value, getattr(self, name)))
         self._renderer.render(self._skin_m)
 
     def step(

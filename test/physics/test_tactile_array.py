@@ -157,6 +157,23 @@ def test_images_have_the_noise_of_the_camera_and_a_network_its_whole_view():
         TactileArray("sensor_a", 1).image()
 
 
+def test_some_sensors_begin_again_and_the_others_go_on(arrays):
+    turn = torch.tensor([[0.0, 0.0, 0.0, 1.0]]).repeat(3, 1)
+    array = arrays("densetact2")
+    array.step(places(array, 1e-3), turn)
+    array.reset(torch.tensor([False, True, False]))
+    at_rest = array.image()
+    there = places(array, 5e-4)
+    frame = array.step(there, turn)
+    assert frame.is_valid.all()
+    array.reset()
+    fresh = array.step(there, turn)
+    np.testing.assert_allclose(frame.skin_position_m[1], fresh.skin_position_m[1], atol=3e-6)
+    array.reset()
+    assert torch.equal(at_rest[1], array.image()[1])
+    assert not torch.equal(at_rest[0], array.image()[0])
+
+
 def test_a_gel_that_is_not_solved_to_the_end_is_marked(arrays, monkeypatch):
     array = arrays("densetact2")
     position = torch.from_numpy(places(array, 1e-3))

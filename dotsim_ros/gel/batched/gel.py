@@ -73,6 +73,27 @@ ADVANCES = 12
 """Steps along a way until the first touch."""
 CHUNK = 8
 """So many gels solve their contact together on a CPU."""
+_STATE = (
+    "_u_m",
+    "_u_change_m",
+    "_marker_force_n",
+    "_slip_m",
+    "_skin_m",
+    "_skin_change_m",
+    "_local_m",
+    "_local_change_m",
+    "_gap_m",
+    "_origin_m",
+    "_move_m",
+    "_rotation",
+    "_is_touching",
+    "_is_placed",
+    "_force_n",
+    "_torque_nm",
+    "_penetration_m",
+    "_left_m",
+)
+"""Attributes of `BatchedGel` that hold a part for each gel."""
 
 
 @dataclass(frozen=True)
@@ -168,6 +189,7 @@ class BatchedGel:
             table = refine(body, skin_m, d, lambda: kept_compliance(body, skin_m, d, law), law)
             fine = stencils_of(table.skin_weight, device), table
         self._rest_m = torch.as_tensor(mesh.rest_position_m, dtype=torch.float32, device=device)
+        self._reach_m = float(np.ptp(mesh.rest_position_m, axis=0).max())
         self._all_at_rest_m = self._rest_m.expand(count, -1, 3).contiguous()
         weights = d.skin_interpolation.matrix(d.node_count)
         self._skin = Skin(self._rest_m, stencils_of(weights, device), self._rest, fine)
@@ -206,8 +228,13 @@ class BatchedGel:
         self._contact_law: Any = wp.array(laws, dtype=kernels.ContactLaw, device=self.device)
         self.reset()
 
-    def reset(self) -> None:
-        """Return every gel to rest, with its indenter away."""
+    def reset(self, gels: torch.Tensor | None = None) -> None:
+        """Return gels to rest, with their indenters away.
+
+        Args:
+            gels: (B,) bool, which; None for all.
+        """
+        before = {} if gels is None else {name: getattr(self, name) for name in _STATE}
         b, n, v = self.count, self._node_count, len(self._rest_m)
 
         def zeros(*shape: int) -> torch.Tensor:
@@ -222,11 +249,17 @@ class BatchedGel:
         self._origin_m, self._move_m = zeros(b, 3), zeros(b, 3)
         self._rotation = torch.eye(3, device=self.device).expand(b, 3, 3)
         self._is_touching = torch.zeros(b, dtype=torch.bool, device=self.device)
-        self._is_placed = False
-        memory = min(MEMORY_SHARE * self.effort.outer, MEMORY)
-        self._mixing = Mixing(b, 3 * n, memory, self.device)
+        self._is_placed = torch.zeros(b, dtype=torch.bool, device=self.device)
         self._force_n, self._torque_nm = zeros(b, 3), zeros(b, 3)
         self._penetration_m, self._left_m = zeros(b), zeros(b)
+        if gels is None:
+            memory = min(MEMORY_SHARE * self.effort.outer, MEMORY)
+            self._mixing = Mixing(b, 3 * n, memory, self.device)
+        else:
+            self._mixing.forget(gels)
+        for name, value in before.items():
+            rest = getattr(self, name)
+            setattr(self, name, torch.where(_mask(name, gels, rest), rest, value))
 
     def step(self, position_m: FloatArray, quaternion_xyzw: FloatArray) -> BatchState:
         """Move each indenter to its pose on a straight way and find the gels.
@@ -238,11 +271,11 @@ class BatchedGel:
         target = torch.as_tensor(position_m, dtype=torch.float32, device=self.device)
         quaternion = torch.as_tensor(quaternion_xyzw, dtype=torch.float32, device=self.device)
         turn = rotation_of(quaternion)
-        if not self._is_placed:
-            reach_m = float((self._rest_m.amax(dim=0) - self._rest_m.amin(dim=0)).max())
-            self._origin_m, self._rotation = target + reach_m * turn[:, :, 2], turn
-            self._is_placed = True
-        start, start_turn = self._origin_m, self._rotation
+        is_new = ~self._is_placed[:, None]
+        start = torch.where(is_new, target + self._reach_m * turn[:, :, 2], self._origin_m)
+        start_turn = torch.where(is_new[:, None], turn, self._rotation)
+        self._origin_m, self._rotation = start, start_turn
+        self._is_placed = torch.ones_like(self._is_placed)
         # A turn moves the skin as well.
         way = (target - start).norm(dim=1) + LEVER_M * angle_between(start_turn, turn)
         # From the air, only the way after the first touch counts.
@@ -566,9 +599,7 @@ class BatchedGel:
         if not self._on_host or not bool(is_moving.all()):
             for name, value in new.items():
                 before = getattr(self, name)
-                # The grid's arrays have the gels last.
-                moves = is_moving if name.startswith("_u") else _leading(is_moving, before)
-                new[name] = torch.where(moves, value, before)
+                new[name] = torch.where(_mask(name, is_moving, before), value, before)
         for name, value in new.items():
             setattr(self, name, value)
         self._left_m = torch.where(diverged, torch.inf, self._left_m)
@@ -599,9 +630,10 @@ def _kept_parts(
     return kept
 
 
-def _leading(mask: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
-    """Return a mask (B,) with as many axes as another tensor (B, ...)."""
-    return mask.view(-1, *(1,) * (like.dim() - 1))
+def _mask(name: str, gels: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
+    """Return a mask (B,) of gels with as many axes as a part of the state."""
+    # The grid's arrays have the gels last.
+    return gels if name.startswith("_u") else gels.view(-1, *(1,) * (like.dim() - 1))
 
 
 def _each(values: FloatArray | None, default: float, count: int, name: str) -> FloatArray:

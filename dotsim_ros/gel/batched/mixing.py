@@ -42,6 +42,11 @@ class Mixing:
         self._gels = self._every
         self._last: tuple[torch.Tensor, torch.Tensor] | None = None
 
+    def forget(self, gels: torch.Tensor) -> None:
+        """Forget what the steps of some gels (B,) did."""
+        for known in (self._changes, self._together, self._gram):
+            known[gels] = 0.0
+
     def keep(self, number: torch.Tensor) -> None:
         """Go on with some of the gels only, in this order."""
         self._gels = self._gels[number]
