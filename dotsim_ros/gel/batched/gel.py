@@ -255,8 +255,8 @@ class BatchedGel:
         if gels is None:
             memory = min(MEMORY_SHARE * self.effort.outer, MEMORY)
             self._mixing = Mixing(b, 3 * n, memory, self.device)
-        else:
-            self._mixing.forget(gels)
+            return
+        self._mixing.forget(gels)
         for name, value in before.items():
             rest = getattr(self, name)
             setattr(self, name, torch.where(_mask(name, gels, rest), rest, value))
