@@ -85,6 +85,10 @@ DATASET = [
     "pyarrow>=16",
     "zarr>=3",
 ]
+# bags and topics in its viewer; LeRobot has one of before 0.27
+RERUN = [
+    "rerun-sdk>=0.26",
+]
 # work on the machines of a cluster; without its extras, which bring a dashboard
 SCALE = [
     "ray>=2.40",
@@ -186,6 +190,7 @@ setup(
         "learning": LEARNING,
         "live": LIVE,
         "rendering": RENDERING,
+        "rerun": RERUN,
         "scale": SCALE,
         "test": [
             *TEST,
@@ -196,6 +201,7 @@ setup(
             *ARM,
             *DATASET,
             *LIVE,
+            *RERUN,
             *SCALE,
         ],
         "dev": DEVELOPMENT,

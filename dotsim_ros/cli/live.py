@@ -6,12 +6,15 @@
 The page is served to this machine alone, and loads nothing from outside. It shows the camera's
 image, the indentation, the skin coloured by how far it has moved, and the force over time, records
 presses as ROS 2 bags in OUT, and scrubs through any bag. With --attach it shows a running node
-instead, by its topics, and publishes indenter/pose to it; that needs ROS 2. Ctrl-C ends it.
+instead, by its topics, and publishes indenter/pose to it; that needs ROS 2. With --rerun it
+shows the node in rerun's viewer (rerun.io), which runs already, in place of the page. Ctrl-C ends
+it.
 
 example:
   dotsim_ros live
   dotsim_ros live --sensor flat_pad --indenter cone --profile exact
   dotsim_ros live --attach --ros-args -r __ns:=/left_finger
+  dotsim_ros live --attach --rerun rerun+http://127.0.0.1:9876/proxy
 """
 
 from __future__ import annotations
@@ -47,6 +50,7 @@ def run(
     open_page: Annotated[bool, Parameter(name="--open")] = False,
     attach: bool = False,
     node: str = "tactile_sim",
+    rerun: str | None = None,
     ros_args: Annotated[tuple[str, ...], Parameter(allow_leading_hyphen=True)] = (),
     seed: NoSeed = 0,
 ) -> int:
@@ -63,8 +67,13 @@ def run(
         open_page: open the page in a browser.
         attach: show a running tactile_sim.
         node: its name.
+        rerun: with --attach: URL of a running viewer, or an .rrd file that is written at the end.
         ros_args: namespace and remaps for --attach; last.
     """
+    if rerun is not None:
+        if not attach:
+            raise ValueError("--rerun shows the topics of a running node: give --attach with it")
+        return _shown_in_rerun(rerun, ros_args)
     try:
         import websockets  # noqa: F401
     except ImportError as error:
@@ -140,8 +149,7 @@ def _simulated(sensor: str, given: str, profile: str) -> Callable[[LiveDesk], in
     return show
 
 
-def _attached(given: str | None, node: str, ros_args: Sequence[str]) -> Callable[[LiveDesk], int]:
-    """Return what shows a running node until Ctrl-C."""
+def _need_ros() -> None:
     try:
         import rclpy  # noqa: F401
     except ImportError as error:
@@ -149,6 +157,24 @@ def _attached(given: str | None, node: str, ros_args: Sequence[str]) -> Callable
             "--attach needs ROS 2, which is not there: source /opt/ros/jazzy, or "
             "pip install 'dotsim_ros[ros,live]'"
         ) from error
+
+
+def _shown_in_rerun(place: str, ros_args: Sequence[str]) -> int:
+    """Show a running node in rerun until Ctrl-C."""
+    _need_ros()
+    from dotsim_ros.nodes.common.spin import run_node
+    from dotsim_ros.nodes.live_page.rerun_view import RerunView
+    from dotsim_ros.view.rerun_log import RerunLog, recording_at
+
+    with recording_at(place) as recording:
+        log = RerunLog(recording)
+        print(f"shown at {place}", flush=True)
+        return run_node(lambda: RerunView(log), arguments=["--ros-args", *ros_args])
+
+
+def _attached(given: str | None, node: str, ros_args: Sequence[str]) -> Callable[[LiveDesk], int]:
+    """Return what shows a running node until Ctrl-C."""
+    _need_ros()
     from dotsim_ros.io.files import shipped_names
     from dotsim_ros.nodes.common.spin import run_node
     from dotsim_ros.nodes.live_page.attachment import LiveAttachment

@@ -5,10 +5,12 @@
 
 Writes NAME.mp4 (or NAME.gif) and NAME.png, where NAME is the bag's. Topics are found by how their
 names end; name them where a bag has several or others. A recording that was cut short is shown up
-to its end; a bag whose checksums do not match is refused.
+to its end; a bag whose checksums do not match is refused. --rerun writes a recording for the
+viewer of rerun (rerun.io) instead: image, depth, moving skin, indenter, and wrench over time.
 
 example:
   dotsim_ros view recordings/press --out images
+  dotsim_ros view recordings/press --rerun out/press.rrd
   dotsim_ros view recordings/press --format gif --speed 0.5 --image /RunCamera/image_raw_1
 """
 
@@ -41,6 +43,8 @@ def run(
     depth: str | None = None,
     points: str | None = None,
     wrench: str | None = None,
+    pose: str | None = None,
+    rerun: str | None = None,
 ) -> int:
     """Write the files and print their paths.
 
@@ -56,15 +60,28 @@ def run(
         depth: topic of the depth.
         points: topic of the points.
         wrench: topic of the wrench.
+        pose: topic of the indenter's pose, shown with --rerun.
+        rerun: in place of video and contact sheet, write this .rrd file, or show the bag in the
+            running viewer of this URL.
     """
     from dotsim_ros.view.bag import view_bag
     from dotsim_ros.view.timeline import ViewTopics
 
+    def warn(words: str) -> None:
+        say(f"dotsim_ros view: {words}")
+
+    topics = ViewTopics(image=image, depth=depth, points=points, wrench=wrench, pose=pose)
+    if rerun is not None:
+        from dotsim_ros.view.rerun_log import write_rerun
+
+        write_rerun(bag, rerun, warn, topics=topics, rest=rest)
+        print(rerun)
+        return 0
     paths = view_bag(
         bag,
         out,
-        lambda words: say(f"dotsim_ros view: {words}"),
-        topics=ViewTopics(image=image, depth=depth, points=points, wrench=wrench),
+        warn,
+        topics=topics,
         formats=_FORMATS[video],
         fps=fps,
         speed=speed,

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.data.bag import bag_name
-from dotsim_ros.io.documents import ArrayForm, read_arrays
 from dotsim_ros.io.printable import placed
 from dotsim_ros.view.panels import Drawing, PanelImages
 from dotsim_ros.view.sheet import strongest_stamps, write_sheet
+from dotsim_ros.view.skin_map import read_rest_m
 from dotsim_ros.view.timeline import ViewTopics, open_timeline
 from dotsim_ros.view.video import GIF_WIDTH_PX, Board, usual_rate_hz, write_gif, write_video
 
@@ -74,21 +74,13 @@ def view_bag(
         OSError: a file could not be written; the one before it is left as it was.
     """
     with open_timeline(path, topics) as timeline, placed(path):
-        if timeline.bag.damage:
-            warn(
-                f"{'; '.join(timeline.bag.damage)}; what comes before is shown (`dotsim_ros record "
-                f"--repair {path}` makes a whole bag of it)"
-            )
-        if timeline.refused_count:
-            warn(f"{timeline.refused_count} messages are not shown: their stamp is no time")
+        for words in timeline.shortcomings():
+            warn(words)
         stamp_ns, forces, title = timeline.stamp_ns, timeline.forces, bag_name(path)
         fps = fps or usual_rate_hz(stamp_ns)
         if formats:
             _check_length(stamp_ns, fps, speed)
-        rest_m = None
-        if rest is not None:
-            form = {"rest_position_m": ArrayForm((None, 3))}
-            rest_m = read_arrays(rest, form)["rest_position_m"]
+        rest_m = None if rest is None else read_rest_m(rest)
         images = PanelImages(timeline.moments(), rest_m=rest_m)
         drawing = Drawing(images, forces, int(stamp_ns[0]), int(stamp_ns[-1]), title)
         chosen = set(strongest_stamps(stamp_ns, forces, count=column_count))

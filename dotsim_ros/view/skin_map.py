@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay
 
 import msg_adapters
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import ArrayForm, read_arrays
 
 FLAT_RATIO = 0.3
 """A skin lower than this part of its half-width is drawn as it lies, not unrolled."""
@@ -20,6 +23,15 @@ def rest_position_m(cloud: msg_adapters.Cloud) -> FloatArray:
     """Return the (V, 3) points of a cloud at rest, as far as the cloud holds them."""
     position = np.asarray(cloud.position, dtype=np.float64)
     return position if cloud.displacement is None else position - cloud.displacement
+
+
+def read_rest_m(path: Path) -> FloatArray:
+    """Return the (V, 3) skin at rest of an .npz with `rest_position_m`.
+
+    Raises:
+        FileNotFoundError, ValueError: there is none.
+    """
+    return read_arrays(path, {"rest_position_m": ArrayForm((None, 3))})["rest_position_m"]
 
 
 class SkinMap:

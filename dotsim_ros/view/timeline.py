@@ -35,6 +35,7 @@ class ViewTopics:
     depth: str | None = None
     points: str | None = None
     wrench: str | None = None
+    pose: str | None = None
 
 
 SUFFIXES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -42,6 +43,7 @@ SUFFIXES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "depth": (("depth/image",), ("sensor_msgs/msg/Image",)),
     "points": (("points", "skin"), ("sensor_msgs/msg/PointCloud2",)),
     "wrench": (("wrench", "force"), ("geometry_msgs/msg/WrenchStamped",)),
+    "pose": (("indenter/state", "indenter/pose"), ("geometry_msgs/msg/PoseStamped",)),
 }
 """How topics end that show each thing, the most wanted first, and the types they may have."""
 
@@ -138,6 +140,30 @@ class Timeline:
             moment = _changed(moment, message, self.topics)
         if moment is not None:
             yield moment
+
+    def shortcomings(self) -> list[str]:
+        """Return what of the bag is not shown and why, a sentence each."""
+        said = []
+        if self.bag.damage:
+            said.append(
+                f"{'; '.join(self.bag.damage)}; what comes before is shown (`dotsim_ros record "
+                f"--repair {self.bag.path}` makes a whole bag of it)"
+            )
+        if self.refused_count:
+            said.append(f"{self.refused_count} messages are not shown: their stamp is no time")
+        return said
+
+    def messages(self) -> Iterator[tuple[str, msg_adapters.Message]]:
+        """Yield each message that has a stamp, poses and wrenches too, with its name in
+        `ViewTopics`.
+
+        Raises:
+            ValueError: as `moments`.
+        """
+        names = {topic: name for name, topic in vars(self.topics).items() if topic is not None}
+        for message in self.bag.messages(*names):
+            if _stamp_ns(message) is not None:
+                yield names[message.topic], message.message()
 
 
 @contextmanager

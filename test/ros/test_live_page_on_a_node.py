@@ -17,7 +17,7 @@ import pytest
 
 pytest.importorskip("websockets", reason="needs pip install '.[live]'")
 
-from harness import APEX_M, PATIENCE_S, running
+from harness import APEX_M, PATIENCE_S, LockstepPress, running, sensor
 from websockets.sync.client import ClientConnection, connect
 
 NAMESPACE = "/left_finger"
@@ -86,3 +86,39 @@ def test_a_page_presses_a_running_node_and_shows_what_it_publishes(tmp_path: Pat
             told = heard(socket, "state", lambda state: "cannot be taken away" in state["notice"])
             assert told["can_press"]
         assert page.interrupt() == 0
+
+
+SEEN_BYTES = 2_000_000
+RERUN_CODE = """
+from dotsim_ros.cli.main import main
+raise SystemExit(main(["live", "--attach", "--rerun", {out!r}]))
+"""
+
+
+def test_rerun_shows_what_a_running_node_publishes(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="needs the extra rerun: pip install '.[rerun]'")
+    reading = pytest.importorskip("rerun.chunk", reason="an older rerun cannot read its files")
+    out = tmp_path / "live.rrd"
+    with (
+        sensor(clock="lockstep", grid_spacing_m=0.0048) as (_, client),
+        running(code=RERUN_CODE.format(out=str(out)), ready="shown at") as view,
+    ):
+        press = LockstepPress(client)
+        # The node and the view have met when images come; what is not whole has another name yet.
+        (part,) = tmp_path.glob(".part.*/live.rrd")
+        while part.stat().st_size < SEEN_BYTES:
+            press.run()
+        assert view.interrupt() == 0
+    forces_n = {
+        stamp_ns: force_n
+        for chunk in reading.RrdReader(out).stream().to_chunks()
+        if chunk.entity_path == "/wrench/force_n" and not chunk.is_static
+        for stamp_ns, force_n in zip(
+            chunk.to_record_batch()["stamp"].to_numpy().astype(int),
+            chunk.to_record_batch()["Scalars:scalars"].to_pylist(),
+            strict=True,
+        )
+    }
+    assert forces_n
+    for stamp_ns, force_n in forces_n.items():
+        assert force_n == list(client.frames[stamp_ns].force_n())

@@ -64,6 +64,7 @@ NAMES_ELSEWHERE = {
     "drjit": "mitsuba",
     "imageio_ffmpeg": "imageio-ffmpeg",
     "pinocchio": "pin",
+    "rerun": "rerun-sdk",
     "warp": "warp-lang",
     "yaml": "PyYAML",
 }
@@ -209,7 +210,7 @@ def test_what_is_imported_is_required() -> None:
     ros = ros_depends("exec_depend")
     foreign = {NAMES_ELSEWHERE.get(name, name) for name in imported_modules() - ros}
     lists = ("ARM", "LEARNING", "RENDERING", "ENVIRONMENTS", "MUJOCO", "REINFORCEMENT", "SCALE")
-    extras = set().union(*map(extra, (*lists, "LIVE")))
+    extras = set().union(*map(extra, (*lists, "LIVE", "RERUN")))
     assert foreign - requirements() - extras == set()
 
 

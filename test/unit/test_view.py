@@ -75,6 +75,9 @@ def bag(tmp_path_factory):
                 "/wrench": msg_adapters.encode_wrench_stamped(
                     (0.0, 0.0, 5.0 * strength), (0.0, 0.0, 0.0), **header
                 ),
+                "/indenter/state": msg_adapters.encode_pose_stamped(
+                    (0.0, 0.0, 0.016 - 0.003 * strength), (0.0, 0.0, 0.0, 1.0), **header
+                ),
             }
             for topic, message in messages.items():
                 file.write(topic, stamp_ns, message)
@@ -297,7 +300,7 @@ def test_messages_without_a_time_are_left_out_and_counted(bag, tmp_path, capsys,
         for number, item in enumerate(reader.messages(*reader.topics())):
             file.add_topic(item.topic, item.message_type)
             serialized = item.serialized
-            if number % 10 == 9:
+            if number % 12 == 11:
                 serialized = serialized[:4] + struct.pack("<iI", -1, 0) + serialized[12:]
             file.write_serialized(item.topic, item.log_time_ns, serialized)
     assert view(path, tmp_path / "out", *SHEET_ALONE) == 0
@@ -346,7 +349,9 @@ def test_topics_are_found_by_their_ends():
 def test_moments_hold_all_of_one_stamp(bag):
     with open_timeline(bag) as timeline:
         moments = list(timeline.moments())
-    assert timeline.topics == ViewTopics("/image_raw", "/depth/image", "/points", "/wrench")
+    assert timeline.topics == ViewTopics(
+        "/image_raw", "/depth/image", "/points", "/wrench", "/indenter/state"
+    )
     assert [moment.stamp_ns for moment in moments] == [
         10**9 + index * PERIOD_NS for index in range(COUNT)
     ]
@@ -388,3 +393,49 @@ def test_a_wrong_command_line_ends_in_one_line(capsys, answered):
     last = capsys.readouterr().err.strip().splitlines()[-1]
     assert last.startswith("dotsim_ros view: error: Invalid value for --columns: ")
     answered(last)
+
+
+def test_rerun_reads_what_was_written(bag, tmp_path, capsys):
+    pytest.importorskip("rerun", reason="needs the extra rerun: pip install '.[rerun]'")
+    reading = pytest.importorskip("rerun.chunk", reason="an older rerun cannot read its files")
+    out = tmp_path / "press.rrd"
+    assert main(["view", str(bag), "--rerun", str(out)]) == 0
+    assert capsys.readouterr().out == f"{out}\n"
+    reader = reading.RrdReader(out)
+    assert len(reader.blueprints()) == 1
+    shown = {
+        chunk.entity_path: chunk.to_record_batch()
+        for chunk in reader.store().stream().to_chunks()
+        if not chunk.is_static
+    }
+    assert set(shown) == {
+        *("/camera/image", "/camera/depth", "/base/skin", "/base/indenter"),
+        *("/wrench/force_n", "/wrench/torque_nm"),
+    }
+    stamps_ns = 10**9 + np.arange(COUNT) * PERIOD_NS
+    for columns in shown.values():
+        assert (columns["stamp"].to_numpy().astype(int) == stamps_ns).all()
+    assert np.allclose(shown["/wrench/force_n"]["Scalars:scalars"].to_pylist()[-1], [0.0, 0.0, 5.0])
+    assert np.allclose(
+        shown["/base/indenter"]["Transform3D:translation"].to_pylist()[-1], [0.0, 0.0, 0.013]
+    )
+    png = np.array(shown["/camera/image"]["EncodedImage:blob"].to_pylist()[-1], np.uint8).ravel()
+    assert (cv2.imdecode(png, cv2.IMREAD_COLOR) == 180).all()
+    # Nothing has moved at first, and at the end the apex most.
+    colours = [np.array(each) for each in shown["/base/skin"]["Mesh3D:vertex_colors"].to_pylist()]
+    assert len(np.unique(colours[0])) == 1
+    apex = np.array(shown["/base/skin"]["Mesh3D:vertex_positions"].to_pylist()[0])[:, 2].argmax()
+    brightness = [sum(int(colour).to_bytes(4)[:3]) for colour in colours[-1]]
+    assert brightness[apex] == max(brightness) > 2 * min(brightness)
+
+
+@pytest.mark.fault("view", "")
+def test_a_recording_for_rerun_that_cannot_be_written_is_told(
+    bag, tmp_path, capsys, monkeypatch, answered
+):
+    assert main(["view", str(bag), "--rerun", str(tmp_path / "press.mp4")]) == 1
+    answered(capsys.readouterr().err, what="--rerun names no .rrd file")
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert main(["view", str(bag), "--rerun", str(tmp_path / "press.rrd")]) == 1
+    answered(capsys.readouterr().err, what="--rerun without rerun")
+    assert os.listdir(tmp_path) == []
