@@ -18,12 +18,15 @@ from dotsim_ros.calibration.fitting import FitProblem
 from dotsim_ros.calibration.loss import POINTS, LossNoise
 from dotsim_ros.calibration.run import Progress
 from dotsim_ros.calibration.stages import open_workers
-from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
+from dotsim_ros.data.data_set import DataSet, read_data_set
 from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.data.reading import (
+    PRESS_CHANNELS,
+    BadBagError,
+    MeasuredBag,
+    Observation,
     Omission,
     PressReader,
-    read_press_images,
     summarize_reasons,
 )
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
@@ -172,14 +175,35 @@ def evaluate_twin(
         data_set, skin_of(twin.gel), sensor=twin.name, topics=topics, indenters=indenters
     )
     skin, has_vertices = reader.skin, reader.has_vertices
-    observations, unread = reader.read_all([entry.name for entry in entries])
-    omissions = [replace(o, reason=f"skin and force of {o.reason}") for o in unread]
+    frames: list[FrameError] = []
+    depths_m = [np.zeros(0)]
+    omissions: list[Omission] = []
+    observations: list[Observation] = []
+    camera = _TwinCamera(twin, skin, from_depth_m, seed)
+    filmed = [entry for entry in entries if entry.has_images]
+    worst: list[SeenFrame] = []
+    for entry in entries:
+        has_images = entry.has_images
+        bag = reader.open(entry, (*PRESS_CHANNELS, "image") if has_images else PRESS_CHANNELS)
+        try:
+            observations.append(reader.observation(bag))
+        except BadBagError as error:
+            omissions.append(Omission(entry.name, f"skin and force of {error}"))
+        if not has_images:
+            continue
+        progress("images", filmed.index(entry) + 1, len(filmed))
+        try:
+            depth_m, seen = camera.judge(bag, reader.indenter(entry))
+        except (FileNotFoundError, ValueError) as error:
+            omissions.append(Omission(entry.name, f"images of {entry.name}: {error}"))
+            continue
+        depths_m.append(depth_m)
+        frames += [frame for frame, *_ in seen]
+        worst = sorted([*worst, *seen], key=lambda one: one[0].psnr_db)[:1]
     if not has_vertices and any(o.press.skin_position_m is not None for o in observations):
         why = f"skin: {data_set.directory} has no skin_mesh.npz, so its points are no vertices"
         omissions.append(Omission("", f"{why}; add that file to have them compared"))
         observations = [o for o in observations if o.press.force_n is not None]
-    frames: list[FrameError] = []
-    depths_m = [np.zeros(0)]
     as_it_is = FitProblem((), values_of(twin), LossNoise(), POINTS)
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -194,20 +218,6 @@ def evaluate_twin(
                 continue
             depths_m.append(tip_depth_m(skin, o.press.poses))
             frames += _pressed_frames(o.press, found, skin, has_vertices, from_depth_m)
-    filmed = [entry for entry in entries if entry.has_images]
-    camera = _TwinCamera(twin, skin, topics, from_depth_m, seed)
-    worst: list[SeenFrame] = []
-    for number, entry in enumerate(filmed, 1):
-        progress("images", number, len(filmed))
-        try:
-            indenter = find_indenter(data_set, entry.indenter, indenters)
-            depth_m, seen = camera.judge(entry, indenter)
-        except (FileNotFoundError, ValueError) as error:
-            omissions.append(Omission(entry.name, f"images of {entry.name}: {error}"))
-            continue
-        depths_m.append(depth_m)
-        frames += [frame for frame, *_ in seen]
-        worst = sorted([*worst, *seen], key=lambda one: one[0].psnr_db)[:1]
     depth_m = np.concatenate(depths_m)
     if not frames:
         reasons = [omission.reason for omission in omissions]
@@ -250,12 +260,10 @@ class _TwinCamera:
         self,
         sensor: SensorSpecification,
         measured: SkinMesh,
-        topics: Topics,
         from_depth_m: float,
         seed: int,
     ) -> None:
-        self._sensor, self._topics = sensor, topics
-        self._from_depth_m, self._seed = from_depth_m, seed
+        self._sensor, self._from_depth_m, self._seed = sensor, from_depth_m, seed
         self._skin = skin_of(sensor.gel)
         # The file of a pad that was found thinner has its face lower than its data, and its camera.
         body, thickness_m = body_of(sensor.gel), values_of(sensor).thickness_m
@@ -263,13 +271,13 @@ class _TwinCamera:
         self._follow = SkinFollower(sensor, self._skin, cache_directory() / "skins", lambda _: None)
         self._renderers: dict[tuple[int, ...], tuple[SkinRenderer, ImageRenderer]] = {}
 
-    def judge(self, entry: DataSetEntry, indenter: Indenter) -> tuple[FloatArray, list[SeenFrame]]:
-        """Return the depths (F,) of a trajectory's images, and those that are deep enough.
+    def judge(self, bag: MeasuredBag, indenter: Indenter) -> tuple[FloatArray, list[SeenFrame]]:
+        """Return the depths (F,) of a bag's images, and those that are deep enough.
 
         Raises:
             FileNotFoundError, ValueError: it cannot be judged.
         """
-        footage = read_press_images(entry, topics=self._topics)
+        footage = bag.footage()
         press, size = footage.press, footage.pixels.shape[1:]
         poses = [Pose(p.position_m - self._raised_m, p.quaternion_xyzw) for p in press.poses]
         press = replace(press, poses=poses)
@@ -278,7 +286,7 @@ class _TwinCamera:
         if not judged:
             return depth_m, []
         if size not in self._renderers:
-            camera = camera_for(self._sensor, footage.pixels[0], entry.name)
+            camera = camera_for(self._sensor, footage.pixels[0], press.name)
             self._renderers[size] = twin_renderers(self._sensor, camera)[:2]
         renderer, images = self._renderers[size]
         skin_m = self._follow(press, indenter)

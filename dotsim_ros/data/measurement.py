@@ -6,28 +6,50 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from dotsim_ros.data.bag import BagReader
-from dotsim_ros.data.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
+from dotsim_ros.data.data_set import INDEX, DataSet, read_data_set
 from dotsim_ros.data.reading import (
+    PRESS_CHANNELS,
+    BadBagError,
+    PressImages,
     PressReader,
-    read_bag,
     starts_in_session,
     summarize_reasons,
 )
-from dotsim_ros.data.recording import Recording, recording_of
+from dotsim_ros.data.recording import Recording, Span, recording_of
 from dotsim_ros.data.trajectory import MEASURED_TOPICS
+from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 
 HELD_OUT_SHARE = 0.4
 """At most this share of the trajectories is kept for the figures after the search."""
+MOST_IMAGES = 300
+"""Most images of a data set that are used; trajectories are thinned evenly to this number."""
+LEAST_FRAMES = 4
+"""Least number of frames of a trajectory that is thinned."""
 IGNORED = ("truth.json", "truth.yaml")
 """Files that say what was done to a data set: never read; that they are there is reported."""
+
+
+@dataclass(frozen=True)
+class Footage:
+    """Images of a trajectory.
+
+    Attributes:
+        images: with the motion at their times.
+        indenter: what pressed.
+        session_s: time from the start of the data set's first trajectory to the first image.
+    """
+
+    images: PressImages
+    indenter: Indenter
+    session_s: float
 
 
 @dataclass(frozen=True)
@@ -35,18 +57,27 @@ class Measurement:
     """A data set, as far as it can be used.
 
     Attributes:
-        directory: its folder.
+        data_set: its folder and index.
         skin: the skin that its clouds list, or the sensor's own where no clouds are.
-        recordings: those that can be used, in the order of the index.
-        warnings: what was left out, and why.
-        digest: of all that was read.
+        recordings: presses that can be used, in the order of the index; none where not asked for.
+        footage: images that can be used, in the order of the index; none where not asked for.
+        warnings: what was left out of the presses, and why.
+        image_warnings: what was left out of the images, and why.
+        digest: of the presses.
     """
 
-    directory: Path
+    data_set: DataSet
     skin: SkinMesh
     recordings: tuple[Recording, ...]
+    footage: tuple[Footage, ...]
     warnings: tuple[str, ...]
+    image_warnings: tuple[str, ...]
     digest: str
+
+    @property
+    def directory(self) -> Path:
+        """Folder of the data set."""
+        return self.data_set.directory
 
 
 def holds_skin_or_force(directory: str | Path | DataSet) -> bool:
@@ -68,43 +99,75 @@ def read_measurement(
     *,
     own_skin: SkinMesh,
     indenters: str | Path | None = None,
+    presses: bool = True,
+    images: bool = False,
 ) -> Measurement:
-    """Read a data set.
+    """Read a data set; each bag is opened, and each of its messages decoded, once.
 
     Args:
         data: its folder, or what its index says.
         own_skin: of the sensor's file, used where the data set has no mesh of its own.
         indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
+        presses: whether to read skin and force.
+        images: whether to read images, of which at most `MOST_IMAGES` are kept.
 
     Raises:
         FileNotFoundError: no data set there.
-        ValueError: no trajectory of it can be used; the text lists why.
+        ValueError: presses were asked for and none can be used; the text lists why.
     """
     data_set = read_data_set(data)
     folder = data_set.directory
-    ignored = [
+    warnings = [
         f"{name} lies in the data set: it was not read"
         for name in IGNORED
         if any(folder.rglob(name))
     ]
+    image_warnings = []
     reader = PressReader.of(data_set, own_skin, indenters=indenters)
-
-    def read(entry: DataSetEntry) -> Recording:
-        found = reader.read(entry)
-        return recording_of(found.press, found.indenter, reader.skin)
-
-    recordings, left_out = _read_each(data_set, read)
-    warnings = (*ignored, *left_out)
-    if not recordings:
+    most = _most_frames([entry.frame_count for entry in data_set.entries if entry.has_images])
+    spans_s: list[Span | None] = []
+    recordings: dict[str, Recording] = {}
+    filmed: dict[str, tuple[PressImages, Indenter]] = {}
+    for entry in data_set.entries:
+        name = entry.name
+        has_images = images and entry.has_images
+        channels = PRESS_CHANNELS if presses else ("pose", "wrench")
+        bag = reader.open(entry, (*channels, "image") if has_images else channels)
+        spans_s.append(bag.span_s)
+        if presses:
+            try:
+                found = reader.observation(bag)
+                recordings[name] = recording_of(found.press, found.indenter, reader.skin)
+            except BadBagError as error:
+                warnings.append(f"{name} was left out: {error}")
+        if has_images:
+            try:
+                filmed[name] = bag.footage(most=most), reader.indenter(entry)
+            except BadBagError as error:
+                image_warnings.append(f"the images of {name} were left out: {error}")
+    if presses and not recordings:
         raise ValueError(f"{folder}: no trajectory can be used: {summarize_reasons(warnings)}")
+    starts_s = _starts(data_set, spans_s)
+    footage = tuple(
+        Footage(one, indenter, starts_s[name] + one.delay_s)
+        for name, (one, indenter) in filmed.items()
+    )
     digest = hashlib.sha256((folder / INDEX).read_bytes())
-    for recording in recordings:
+    for recording in recordings.values():
         press = recording.press
         for pose in press.poses:
             digest.update(pose.position_m.tobytes() + pose.quaternion_xyzw.tobytes())
         for array in (press.stamp_s, press.skin_position_m, press.force_n):
             digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
-    return Measurement(folder, reader.skin, recordings, warnings, digest.hexdigest()[:16])
+    return Measurement(
+        data_set,
+        reader.skin,
+        _placed(recordings, starts_s),
+        footage,
+        tuple(warnings),
+        tuple(image_warnings),
+        digest.hexdigest()[:16],
+    )
 
 
 def read_poses(
@@ -121,49 +184,50 @@ def read_poses(
         ValueError: no trajectory of it has poses.
     """
     data_set = read_data_set(data)
-
-    def read(entry: DataSetEntry) -> Recording:
-        press = read_bag(entry, channels=("pose",)).press()
-        count = press.frame_count
-        planned = replace(
-            press,
-            skin_position_m=np.repeat(skin.rest_position_m[None], count, axis=0),
-            force_n=np.zeros((count, 3)),
-        )
-        return recording_of(planned, find_indenter(data_set, entry.indenter, indenters), skin)
-
-    recordings, warnings = _read_each(data_set, read)
+    reader = PressReader(data_set, skin, False, indenters=indenters)
+    recordings: dict[str, Recording] = {}
+    warnings = []
+    spans_s = []
+    for entry in data_set.entries:
+        bag = reader.open(entry, ("pose",))
+        spans_s.append(bag.span_s)
+        try:
+            press = bag.press()
+            planned = replace(
+                press,
+                skin_position_m=np.repeat(skin.rest_position_m[None], press.frame_count, axis=0),
+                force_n=np.zeros((press.frame_count, 3)),
+            )
+            recordings[entry.name] = recording_of(planned, reader.indenter(entry), skin)
+        except BadBagError as error:
+            warnings.append(f"{entry.name} was left out: {error}")
     if not recordings:
         raise ValueError(
             f"{data_set.directory}: no trajectory has poses: {summarize_reasons(warnings)}"
         )
-    return recordings, warnings
+    return _placed(recordings, _starts(data_set, spans_s)), tuple(warnings)
 
 
-def _read_each(
-    data_set: DataSet, read: Callable[[DataSetEntry], Recording]
-) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
-    """Return the recordings that can be read, with the time of each in the session, to which the
-    others belong, too; and why those were left out."""
-    found: list[Recording | None] = []
-    left_out = []
-    for entry in data_set.entries:
-        try:
-            found.append(read(entry))
-        except (FileNotFoundError, ValueError) as error:
-            left_out.append(f"{entry.name} was left out: {error}")
-            found.append(None)
-    spans = [
-        None if one is None else (float(one.press.stamp_s[0]), float(one.press.stamp_s[-1]))
-        for one in found
-    ]
-    starts_s = starts_in_session(data_set, spans)
-    recordings = tuple(
-        replace(one, session_s=start_s)
-        for one, start_s in zip(found, starts_s, strict=True)
-        if one is not None
-    )
-    return recordings, tuple(left_out)
+def _starts(data_set: DataSet, spans_s: Sequence[Span | None]) -> dict[str, float]:
+    """Return when each trajectory began in the session, by its name."""
+    names = [entry.name for entry in data_set.entries]
+    return dict(zip(names, starts_in_session(data_set, spans_s), strict=True))
+
+
+def _placed(
+    recordings: Mapping[str, Recording], starts_s: Mapping[str, float]
+) -> tuple[Recording, ...]:
+    """Return recordings with the time of each in the session, to which those that were left out
+    belong, too."""
+    return tuple(replace(one, session_s=starts_s[name]) for name, one in recordings.items())
+
+
+def _most_frames(counts: Sequence[int]) -> int:
+    """Return to how many frames each trajectory is thinned; 0 stands for a count that is not
+    known."""
+    if all(counts) and sum(counts) <= MOST_IMAGES:
+        return MOST_IMAGES
+    return max(LEAST_FRAMES, MOST_IMAGES // max(len(counts), 1))
 
 
 def protocol_of(recording: Recording) -> str:

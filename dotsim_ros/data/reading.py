@@ -9,9 +9,11 @@ recording; presses and footage are views of what it returns.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +42,8 @@ from dotsim_ros.io.arrays import FloatArray, ImageArray, IntArray
 LARGEST_LENGTH_M = 0.5
 """Nothing on a fingertip sensor is farther from its base."""
 LARGEST_FORCE_N = 500.0
-CHANNELS = ("pose", "wrench", "skin")
+PRESS_CHANNELS = ("pose", "wrench", "skin")
+FILM_CHANNELS = ("pose", "wrench", "image")
 SAME_DELAY_S = 1e-3
 """Delays that differ by less are one delay of a whole channel."""
 LARGEST_DELAY_S = 0.5
@@ -76,38 +79,65 @@ class PressImages:
     Attributes:
         press: the motion at the images' times, with the force where it was measured, no skin.
         pixels: (F, H, W, 3) uint8.
-        span_s: first and last pose of the bag.
         delay_s: from the first pose of the bag to the first image.
     """
 
     press: Press
     pixels: ImageArray
-    span_s: Span
     delay_s: float
+
+    def check_size(self, idle: ImageArray) -> None:
+        """Refuse images of another size than an idle one (H, W, 3).
+
+        Raises:
+            BadBagError: they are.
+        """
+        if self.pixels.shape[1:] != idle.shape:
+            (height, width), expected = self.pixels.shape[1:3], idle.shape
+            raise BadBagError(
+                f"{self.press.name}: its images are {width}x{height}, but the idle images "
+                f"{expected[1]}x{expected[0]}; take all with one camera and setting"
+            )
 
 
 @dataclass(frozen=True)
 class MeasuredBag:
     """What a bag of a data set holds, each message decoded and checked; by `read_bag`.
 
+    What is wrong with a channel is raised when the channel is used.
+
     Attributes:
         entry: of the data set.
         topics: where the channels lie.
         trajectory: its poses, and forces and skin where they were asked for and measured.
         images: messages, decoded when they are used, by their stamps; none where not asked for.
+        faults: of the channels that cannot be used.
     """
 
     entry: DataSetEntry
     topics: Topics
     trajectory: Trajectory
     images: dict[int, BagMessage]
+    faults: dict[str, BadBagError]
+
+    @property
+    def span_s(self) -> Span | None:
+        """First and last pose; None where poses cannot be used."""
+        pose = self.trajectory.pose
+        return None if pose is None else _span(pose.stamp_ns)
+
+    def _check(self, *channels: str) -> None:
+        for channel in channels:
+            if channel in self.faults:
+                raise self.faults[channel]
 
     def press(self) -> Press:
         """Return poses, forces and skin.
 
         Raises:
-            BadBagError: their stamps differ.
+            BadBagError: one of them cannot be used, or their stamps differ.
         """
+        self._check("pose", "wrench", "skin")
         pose, skin, wrench = self.trajectory.pose, self.trajectory.skin, self.trajectory.wrench
         assert pose is not None
         for what, channel in (("skin", skin), ("wrench", wrench)):
@@ -123,17 +153,17 @@ class MeasuredBag:
             force_n=None if wrench is None else wrench.force_n,
         )
 
-    def footage(self, *, idle: ImageArray | None = None, most: int | None = None) -> PressImages:
+    def footage(self, *, most: int | None = None) -> PressImages:
         """Return the images, with poses and forces interpolated to their times.
 
         Args:
-            idle: (H, W, 3) without contact, by the same camera; None where none is known.
             most: frames to keep at most, evenly spread; None for all.
 
         Raises:
             BadBagError: no image, one that is malformed or of another size, none within the poses'
-                time, or channels by different clocks.
+                time, channels by different clocks, or poses or forces that cannot be used.
         """
+        self._check("pose", "wrench", "image")
         entry, topics = self.entry, self.topics
         pose, wrench = self.trajectory.pose, self.trajectory.wrench
         assert pose is not None
@@ -156,7 +186,7 @@ class MeasuredBag:
         if most is not None and len(stamp_ns) > most:
             places = np.linspace(0, len(stamp_ns) - 1, most).round().astype(int)
             stamp_ns = stamp_ns[np.unique(places)]
-        pixels = self._pixels(stamp_ns.tolist(), None if idle is None else idle.shape)
+        pixels = self._pixels(stamp_ns.tolist())
         way_m = float(np.ptp(pose.position_m, axis=0).max())
         # Noise alone makes any two images of a live camera differ.
         if len(pixels) > 1 and way_m >= MOVED_M and bool((pixels == pixels[0]).all()):
@@ -174,9 +204,9 @@ class MeasuredBag:
         poses = _poses_at(stamp_ns, pose.stamp_ns, pose.poses())
         press = Press(entry.name, entry.indenter, poses, stamp_s, force_n=force_n)
         delay_s = 1e-9 * float(stamp_ns[0] - pose.stamp_ns[0])
-        return PressImages(press, pixels, _span(pose.stamp_ns), delay_s)
+        return PressImages(press, pixels, delay_s)
 
-    def _pixels(self, stamps_ns: Sequence[int], size: tuple[int, ...] | None) -> ImageArray:
+    def _pixels(self, stamps_ns: Sequence[int]) -> ImageArray:
         """Return the images (F, H, W, 3) of some stamps, all of one size."""
         found = []
         for stamp_ns in stamps_ns:
@@ -185,13 +215,11 @@ class MeasuredBag:
                 found.append(decode_colour(self.images[stamp_ns].message()))
             except ValueError as error:
                 raise BadBagError(f"{place}: {error}") from error
-            expected = found[0].shape if size is None else size
-            if found[-1].shape != expected:
-                width, height = found[-1].shape[1::-1]
+            if found[-1].shape != found[0].shape:
+                (height, width), expected = found[-1].shape[:2], found[0].shape
                 raise BadBagError(
-                    f"{place}: it is {width}x{height}, but "
-                    f"{'the first' if size is None else 'the idle images'} {expected[1]}x"
-                    f"{expected[0]}; take all with one camera and setting"
+                    f"{place}: it is {width}x{height}, but the first {expected[1]}x{expected[0]}; "
+                    "take all with one camera and setting"
                 )
         return np.stack(found)
 
@@ -200,7 +228,7 @@ def read_bag(
     entry: DataSetEntry,
     *,
     topics: Topics = MEASURED_TOPICS,
-    channels: Sequence[str] = CHANNELS,
+    channels: Sequence[str] = PRESS_CHANNELS,
     vertex_count: int | None = None,
 ) -> MeasuredBag:
     """Read a bag of a data set: open it, and decode and check each message, once.
@@ -211,19 +239,32 @@ def read_bag(
         channels: which to read, "pose" among them, and of "wrench", "skin" and "image".
         vertex_count: of the data set's skin; None where clouds may differ.
 
-    Raises:
-        BadBagError: no bag that can be read, a topic of the wrong type, no poses, another frame
-            than the sensor's base, stamps out of order, a number that is not finite, lengths in
-            millimetres, another number of skin points.
+    Returns:
+        What can be read. In its `faults`, of all channels: no bag that can be read, or no poses; of
+        one channel: a topic of the wrong type, another frame than the sensor's base, stamps out of
+        order, a number that is not finite, lengths in millimetres, another number of skin points.
     """
     topic_of = {name: str(getattr(topics, name)) for name in channels}
     name_of = {topic: name for name, topic in topic_of.items()}
-    rows: dict[str, list[Row]] = {}
+    rows: dict[str, list[Row]] = {name: [] for name in channels}
     images: dict[int, BagMessage] = {}
+    made: dict[str, Any] = {}
+    faults: dict[str, BadBagError] = {}
+
+    @contextmanager
+    def noted(name: str) -> Iterator[None]:
+        """Keep why a channel cannot be used."""
+        try:
+            yield
+        except ValueError as error:
+            faults[name] = _bad(entry, error)
+
     try:
         with BagReader(entry.bag) as bag:
             there = bag.topics()
-            check_types(there, topic_of, entry.name)
+            for name, topic in topic_of.items():
+                with noted(name):
+                    check_types(there, {name: topic}, entry.name)
             if topics.pose not in there:
                 raise BadBagError(
                     f"{entry.name}: no message on {topics.pose}; the bag holds "
@@ -232,20 +273,28 @@ def read_bag(
                 )
             for message in bag.messages(*name_of):
                 name = name_of[message.topic]
-                if name == "image":
-                    _add_image(images, message, entry.name)
+                if name in faults:
                     continue
-                found = rows.setdefault(name, [])
-                place = f"{entry.name}, {message.topic}, message {len(found)}"
-                found.append(decoded(message, name, place))
-                _check_row(name, found, place, entry.base_frame, vertex_count)
-        made = {name: channel_of(name, each) for name, each in rows.items()}
-    except BadBagError:
-        raise
+                with noted(name):
+                    if name == "image":
+                        _add_image(images, message, entry.name)
+                        continue
+                    found = rows[name]
+                    place = f"{entry.name}, {message.topic}, message {len(found)}"
+                    found.append(decoded(message, name, place))
+                    _check_row(name, found, place, entry.base_frame, vertex_count)
     except (FileNotFoundError, ValueError) as error:
-        named = "" if str(error).startswith(entry.name) else f"{entry.name}: "
-        raise BadBagError(f"{named}{error}") from error
-    return MeasuredBag(entry, topics, Trajectory(**made, name=entry.name), images)
+        faults = dict.fromkeys(channels, _bad(entry, error))
+    for name, each in rows.items():
+        if each and name not in faults:
+            with noted(name):
+                made[name] = channel_of(name, each)
+    return MeasuredBag(entry, topics, Trajectory(**made, name=entry.name), images, faults)
+
+
+def _bad(entry: DataSetEntry, error: Exception) -> BadBagError:
+    named = "" if str(error).startswith(entry.name) else f"{entry.name}: "
+    return error if isinstance(error, BadBagError) else BadBagError(f"{named}{error}")
 
 
 def _add_image(images: dict[int, BagMessage], message: BagMessage, name: str) -> None:
@@ -322,6 +371,7 @@ class PressReader:
     has_vertices: bool
     topics: Topics = MEASURED_TOPICS
     indenters: str | Path | None = None
+    _indenters: dict[str, Indenter] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(
@@ -357,17 +407,39 @@ class PressReader:
         Raises:
             BadBagError: the bag, or its indenter, cannot be used.
         """
-        topics = self.topics
+        return self.observation(self.open(entry, PRESS_CHANNELS))
+
+    def open(self, entry: DataSetEntry, channels: Sequence[str]) -> MeasuredBag:
+        """Read channels of a bag; see `read_bag`."""
         vertex_count = self.skin.vertex_count if self.has_vertices else None
-        press = read_bag(entry, topics=topics, vertex_count=vertex_count).press()
-        try:
-            indenter = find_indenter(self.data_set, entry.indenter, self.indenters)
-        except FileNotFoundError as error:
-            raise BadBagError(
-                f"{entry.name}: {error}; add the file, or correct the name in dataset.yaml"
-            ) from error
-        except ValueError as error:
-            raise BadBagError(f"{entry.name}: {error}") from error
+        return read_bag(entry, topics=self.topics, channels=channels, vertex_count=vertex_count)
+
+    def indenter(self, entry: DataSetEntry) -> Indenter:
+        """Return what pressed; its mesh is read, and found to be closed, once.
+
+        Raises:
+            BadBagError: it cannot be used.
+        """
+        name = entry.indenter
+        if name not in self._indenters:
+            try:
+                self._indenters[name] = find_indenter(self.data_set, name, self.indenters)
+            except FileNotFoundError as error:
+                raise BadBagError(
+                    f"{entry.name}: {error}; add the file, or correct the name in dataset.yaml"
+                ) from error
+            except ValueError as error:
+                raise BadBagError(f"{entry.name}: {error}") from error
+        return self._indenters[name]
+
+    def observation(self, bag: MeasuredBag) -> Observation:
+        """Return the press of a bag, checked, and its indenter.
+
+        Raises:
+            BadBagError: the press, or its indenter, cannot be used.
+        """
+        entry, topics, press = bag.entry, self.topics, bag.press()
+        indenter = self.indenter(entry)
         if press.skin_position_m is None and press.force_n is None:
             raise BadBagError(
                 f"{entry.name}: neither {topics.skin} nor {topics.wrench} in the bag; record one "
@@ -391,19 +463,21 @@ class PressReader:
 
 
 def read_press_images(
-    entry: DataSetEntry,
-    *,
-    idle: ImageArray | None = None,
-    topics: Topics = MEASURED_TOPICS,
-    most: int | None = None,
+    entry: DataSetEntry, *, idle: ImageArray, topics: Topics = MEASURED_TOPICS
 ) -> PressImages:
     """Read the images of a press, with poses and forces at their times; see `MeasuredBag.footage`.
 
+    Args:
+        entry: the trajectory.
+        idle: (H, W, 3) without contact, by the same camera.
+        topics: where the channels lie.
+
     Raises:
-        BadBagError: as `read_bag` and `MeasuredBag.footage`.
+        BadBagError: as `MeasuredBag.footage`; or images of another size.
     """
-    channels = ("pose", "wrench", "image")
-    return read_bag(entry, topics=topics, channels=channels).footage(idle=idle, most=most)
+    footage = read_bag(entry, topics=topics, channels=FILM_CHANNELS).footage()
+    footage.check_size(idle)
+    return footage
 
 
 def starts_in_session(data_set: DataSet, spans_s: Sequence[Span | None]) -> list[float]:

@@ -20,7 +20,7 @@ from dotsim_ros.gap.findings import Findings, OpticalFindings, Verdict
 from dotsim_ros.gap.images.find import find_optical, fit_noise_of_images, unusable_images
 from dotsim_ros.gap.images.null import OpticalNull, load_optical_null, save_optical_null
 from dotsim_ros.gap.presses.covariance import load_discrepancy
-from dotsim_ros.gap.presses.search import search_presses
+from dotsim_ros.gap.presses.search import read_measurements, search_presses
 from dotsim_ros.gap.presses.search_state import CHANNELS, MECHANICAL, GapRequest, Progress
 from dotsim_ros.gap.report.write import write_report
 from dotsim_ros.gel.values import values_of
@@ -122,10 +122,11 @@ def find_gap(
     with tempfile.TemporaryDirectory() as temporary:
         request = replace(request, directory=Path(temporary if out is None else out) / "run")
         try:
-            request = _with_data(request)
+            data_set = read_data_set(request.measured)
+            reference = None if request.reference is None else read_data_set(request.reference)
+            request = replace(request, measured=data_set, reference=reference)
             if channels is None:
-                assert isinstance(request.measured, DataSet)
-                request = replace(request, channels=channels_of(request.measured))
+                request = replace(request, channels=channels_of(data_set))
             if out is not None:
                 check_output_folder(out)
                 finish_replacement(out)
@@ -173,9 +174,10 @@ def fit_optical_noise(
             reference=_path(reference),
             indenters=_path(indenters),
             effects=tuple(map(Path, effects)),
+            channels=(IMAGE,),
             workers=workers,
         )
-        null = fit_noise_of_images(_with_data(request), progress or _silent)
+        null = fit_noise_of_images(request, *read_measurements(request), progress or _silent)
     save_optical_null(null, Path(out))
     return null
 
@@ -186,16 +188,6 @@ def _path(given: str | Path | None) -> Path | None:
 
 def _silent(_step: str, _done: int, _total: int) -> None:
     """Show nothing."""
-
-
-def _with_data(request: GapRequest) -> GapRequest:
-    """Return a request with the indices of its data sets read, which is done here alone.
-
-    Raises:
-        FileNotFoundError, ValueError: as `read_data_set`.
-    """
-    reference = None if request.reference is None else read_data_set(request.reference)
-    return replace(request, measured=read_data_set(request.measured), reference=reference)
 
 
 def _effects_of(request: GapRequest) -> tuple[list[Effect], list[Effect]]:
@@ -230,15 +222,19 @@ def find_gap_with_images(
     begun_s = time.monotonic()
     mechanical, optical = _effects_of(request)
     findings, overlay = None, None
+    pressed = tuple(channel for channel in request.channels if channel != IMAGE and mechanical)
+    channels = (*pressed, IMAGE) if optical else pressed
+    measured = read_measurements(replace(request, channels=channels))
     if mechanical:
-        channels = tuple(channel for channel in request.channels if channel != IMAGE)
         names = tuple(e.name for e in mechanical) if request.candidates else ()
-        only = replace(request, channels=channels, candidates=names)
-        findings, overlay = search_presses(only, progress)
+        only = replace(request, channels=pressed, candidates=names)
+        findings, overlay = search_presses(only, *measured, progress)
     if findings is not None and not optical:
         return findings, overlay
     try:
-        seen, found, digest, solves = find_optical(request, optical, findings, overlay, progress)
+        seen, found, digest, solves = find_optical(
+            request, *measured, optical, findings, overlay, progress
+        )
     except EffectError:
         raise
     except (ValueError, FileNotFoundError) as error:

@@ -218,14 +218,15 @@ def with_measured_skin(
     presses = []
     names = [press.name for press in filmed.presses]
     for press, entry in zip(filmed.presses, data_set.named(names), strict=True):
-        measured = read_bag(
+        bag = read_bag(
             entry, topics=topics, channels=("pose", "skin"), vertex_count=skin.vertex_count
-        ).trajectory.skin
-        if measured is None:
+        )
+        measured = bag.press()
+        if measured.skin_position_m is None:
             raise ValueError(f"{entry.bag} holds no skin on {topics.skin}")
-        if not np.array_equal(1e-9 * measured.stamp_ns.astype(np.float64), press.stamp_s):
+        if not np.array_equal(measured.stamp_s, press.stamp_s):
             raise ValueError(f"{entry.bag}: the skin was measured at other times than the images")
-        position_m = (measured.position_m - base_m).astype(np.float32)
+        position_m = (measured.skin_position_m - base_m).astype(np.float32)
         presses.append(replace(press, skin_position_m=position_m))
     skin = replace(skin, rest_position_m=skin.rest_position_m - base_m)
     return FilmedData(skin, filmed.idle, tuple(presses), base_m=base_m)

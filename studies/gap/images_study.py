@@ -29,6 +29,7 @@ from dotsim_ros.gap.images.find import case_of, images_of
 from dotsim_ros.gap.images.fit import ImageSearch
 from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, save_optical_null
 from dotsim_ros.gap.images.search import Signature, signatures_of
+from dotsim_ros.gap.presses.search import read_measurements
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.files import given_path
@@ -168,8 +169,9 @@ def gap_images(
     twin = load_sensor(sensor)
     card = read_network(given_path(twin.camera.residual))
     effects = [effect for effect in load_effects().values() if effect.image is not None]
-    request = GapRequest(data, twin, run, workers=1)
-    study = Study(case_of(request, *images_of(request), PrintedProgress()), effects)
+    request = GapRequest(data, twin, run, channels=("image",), workers=1)
+    images, model = images_of(twin, *read_measurements(request))
+    study = Study(case_of(request, images, model, PrintedProgress()), effects)
     there = {shot.name for shot in study.case.shots}
     fitted = [name for name in card.data["train"] if name in there]
     others = [name for name in card.data["held_out"] if name in there]

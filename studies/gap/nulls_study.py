@@ -21,7 +21,7 @@ import yaml
 
 from dotsim_ros.data.data_set import INDEX, read_data_set
 from dotsim_ros.gap.presses.covariance import save_discrepancy
-from dotsim_ros.gap.presses.search import search_presses
+from dotsim_ros.gap.presses.search import read_measurements, search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.io.files import cache_directory
 from dotsim_ros.io.progress import PrintedProgress
@@ -73,17 +73,15 @@ def _searched(source: Source, seed: int) -> dict[str, Any]:
         _link(source.directory.resolve(), measured, drawn)
         save_discrepancy(discrepancy, covariance)
         begun_s = time.monotonic()
-        findings, _ = search_presses(
-            GapRequest(
-                measured=measured,
-                sensor=source.sensor,
-                directory=source.run,
-                seed=seed,
-                workers=source.workers,
-                discrepancy=covariance,
-            ),
-            silent,
+        request = GapRequest(
+            measured=measured,
+            sensor=source.sensor,
+            directory=source.run,
+            seed=seed,
+            workers=source.workers,
+            discrepancy=covariance,
         )
+        findings, _ = search_presses(request, *read_measurements(request), silent)
     return {
         "seed": seed,
         "trajectories": drawn,

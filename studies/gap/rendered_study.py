@@ -29,6 +29,7 @@ from dotsim_ros.gap.find import find_gap_with_images
 from dotsim_ros.gap.findings import Findings
 from dotsim_ros.gap.images.find import fit_noise_of_images
 from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
+from dotsim_ros.gap.presses.search import read_measurements
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.io.progress import PrintedProgress
 from dotsim_ros.optics.idle_check import read_idle_images
@@ -217,7 +218,7 @@ def gap_rendered(
         workers=1,
         optical_noise=noise,
     )
-    null = fit_noise_of_images(request, PrintedProgress())
+    null = fit_noise_of_images(request, *read_measurements(request), PrintedProgress())
     save_optical_null(null, noise)
     progress, results = PrintedProgress(), []
     for number, plan in enumerate(later):

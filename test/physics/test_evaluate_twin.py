@@ -16,6 +16,7 @@ import pytest
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.data.data_set_writer import trajectory_of_frames, write_data_set
+from dotsim_ros.data.measurement import read_measurement
 from dotsim_ros.data.trajectory import Trajectory
 from dotsim_ros.gap.images.reading import read_images
 from dotsim_ros.geometry.indenter import Indenter, sphere
@@ -173,7 +174,8 @@ def test_a_pad_is_pressed_where_the_face_of_its_data_is(tmp_path):
     np.testing.assert_allclose(
         measured.skin.rest_position_m[free], skin.rest_position_m[free], atol=1e-8
     )
-    seen = read_images(data, sensor=PAD).trajectories[0].recording.press
+    measurement = read_measurement(data, own_skin=skin, images=True)
+    seen = read_images(measurement, sensor=PAD).trajectories[0].recording.press
     heights_m = [pose.position_m[2] for pose in seen.poses]
     np.testing.assert_allclose(heights_m, true.pose.position_m[:, 2], atol=1e-12)
 

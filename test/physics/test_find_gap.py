@@ -20,7 +20,7 @@ import yaml
 from dotsim_ros.data.trajectory import Trajectory, WrenchChannel, write_trajectory
 from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.gap.findings import Findings, Verdict
-from dotsim_ros.gap.presses.search import search_presses
+from dotsim_ros.gap.presses.search import read_measurements, search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.specification import load_sensor
@@ -70,7 +70,7 @@ def searched(
         seed=1,
         workers=1,
     )
-    found = search_presses(request, lambda *one: told.append(one))
+    found = search_presses(request, *read_measurements(request), lambda *one: told.append(one))
     assert "nulls" in {step for step, _, _ in told}
     solves = [(done, total) for step, done, total in told if step == "solve"]
     # The time left is right from the first solve on only if all of them are foreseen.

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import yaml
 
+from dotsim_ros.data.measurement import read_measurement
 from dotsim_ros.data.trajectory import ImageChannel, read_trajectory, write_trajectory
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay, active_effects
@@ -136,7 +137,14 @@ def _with_images(data: Path, images: Callable[[str, int], np.ndarray]) -> Measur
     (data / "dataset.yaml").write_text(yaml.safe_dump(index), encoding="utf-8")
     sensor = load_sensor("sensor_a")
     sensor = replace(sensor, gel=replace(sensor.gel, skin_spacing_m=SKIN_SPACING_M))
-    return read_images(data, sensor=sensor, indenters=data / "indenters")
+    measurement = read_measurement(
+        data,
+        own_skin=skin_of(sensor.gel),
+        indenters=data / "indenters",
+        presses=False,
+        images=True,
+    )
+    return read_images(measurement, sensor=sensor)
 
 
 def searched(

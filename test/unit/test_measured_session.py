@@ -87,10 +87,10 @@ def test_a_trajectory_that_is_left_out_took_its_time(tmp_path):
     names = ("press_0", "press_1", "press_2")
     each = [press(name, 1.0, with_force=name != "press_1", with_images=True) for name in names]
     data = written(tmp_path / "data", *each)
-    measurement = read_measurement(data, own_skin=SKIN)
+    measurement = read_measurement(data, own_skin=SKIN, images=True)
     assert [r.name for r in measurement.recordings] == ["press_0", "press_2"]
     assert [r.session_s for r in measurement.recordings] == pytest.approx([0.0, 4.0])
-    images = read_images(data, sensor=SENSOR)
+    images = read_images(measurement, sensor=SENSOR)
     starts_s = [one.recording.session_s for one in images.trajectories]
     assert starts_s == pytest.approx([0.0, 2.0, 4.0])
 

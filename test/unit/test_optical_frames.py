@@ -196,7 +196,7 @@ def read(directory, sensor, cache, presses=None):
         (["ball_0", "cube_0"], "no trajectory cube_0; it has ball_0, ball_1, ball_2"),
         (["ball_0", "blind"], "blind holds no image on /tactile/image_raw/compressed"),
         (["ball_0", "loose"], "loose: no message on /indenter/pose"),
-        (["ball_0", "large"], "it is 160x120, but the idle images 80x60"),
+        (["ball_0", "large"], "its images are 160x120, but the idle images 80x60"),
         (["ball_0", "late"], "late: no image was taken while poses were recorded"),
         (["ball_0", "ball_1", "early"], r"early, frame 0 differs .*check that the pose"),
     ],

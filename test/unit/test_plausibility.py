@@ -17,6 +17,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
+from dotsim_ros.data import reading
 from dotsim_ros.data.bag import BagFile, BagReader
 from dotsim_ros.data.data_set import DataSet, read_data_set
 from dotsim_ros.data.data_set_writer import write_data_set
@@ -251,7 +252,7 @@ def test_what_can_be_read_is_read_and_the_rest_is_named(tmp_path):
     (entry,) = data_set.entries
     wrong_topic = Topics(wrench="/tactile/skin")
     with pytest.raises(BadBagError, match=r"holds sensor_msgs/msg/PointCloud2, expected geometry"):
-        read_bag(entry, topics=wrong_topic, channels=("pose", "wrench"))
+        read_bag(entry, topics=wrong_topic, channels=("pose", "wrench")).press()
     lost = replace(entry, name="lost", indenter="spere")
     both = replace(data_set, entries=(entry, lost))
     found, (omitted,) = PressReader(both, SKIN, True).read_all(["press", "lost"])
@@ -362,6 +363,34 @@ def test_images_by_another_clock_are_refused(tmp_path, channel, answered):
     with pytest.raises(BadBagError, match=r"begins and ends 0\.90 s after /indenter/pose") as error:
         read_press_images(entry, idle=IDLE)
     answered(error.value, what=f"{channel} stamped 0.9 s later than the poses")
+
+
+def test_what_is_wrong_with_one_channel_leaves_the_others(tmp_path, monkeypatch):
+    opened = []
+
+    class CountedReader(BagReader):
+        def __init__(self, path: Path) -> None:
+            opened.append(path.name)
+            super().__init__(path)
+
+    monkeypatch.setattr(reading, "BagReader", CountedReader)
+    still = np.repeat(IDLE[None], len(STAMP_NS), axis=0)
+    good = replace(press(), image=ImageChannel(STAMP_NS, FILM))
+    each = [
+        replace(good, name="all"),
+        replace(framed("skin", "elsewhere")(good), name="images_alone"),
+        replace(good, name="press_alone", image=ImageChannel(STAMP_NS, still)),
+    ]
+    data_set = write_data_set(
+        tmp_path / "data", [(one, BALL) for one in each], skin=SKIN, idle_images=[IDLE]
+    )
+    found = read_measurement(data_set, own_skin=SKIN, images=True)
+    assert [one.name for one in found.recordings] == ["all", "press_alone"]
+    assert [one.images.press.name for one in found.footage] == ["all", "images_alone"]
+    assert len(found.warnings) == len(found.image_warnings) == 1
+    assert "frame_id is 'elsewhere'" in found.warnings[0]
+    assert "the same to the bit" in found.image_warnings[0]
+    assert opened == ["all", "images_alone", "press_alone"]
 
 
 @pytest.mark.fault("bags and data sets", "a camera that gives one image again and again")

@@ -15,8 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dotsim_ros.data.data_set import read_data_set
-from dotsim_ros.data.measurement import one_of_each, protocol_of
+from dotsim_ros.data.measurement import Measurement, one_of_each, protocol_of
 from dotsim_ros.effects.effect import IMAGE, Effect
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
 from dotsim_ros.effects.simulate import EffectRequest, open_solver
@@ -58,22 +57,28 @@ from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.cores import single_threaded
+from dotsim_ros.specification import SensorSpecification
 
 LEAST_TRAJECTORIES = 4
 RESAMPLED = 200
 
 
 @single_threaded()
-def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
+def fit_noise_of_images(
+    request: GapRequest,
+    measurement: Measurement,
+    reference: Measurement | None,
+    progress: Progress,
+) -> OpticalNull:
     """Return what the images of a data set show in which nothing is missing.
 
     Raises:
         FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """
-    case = case_of(request, *images_of(request), progress)
+    case = case_of(request, *images_of(request.sensor, measurement, reference), progress)
     _check_enough(case)
     effects = [e for e in request.library().values() if e.image is not None]
-    name = read_data_set(request.measured).directory.name
+    name = measurement.directory.name
     return fit_optical_null(
         case,
         effects,
@@ -83,19 +88,19 @@ def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
     )
 
 
-def images_of(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:
-    """Return the images of a data set, and the model of the twin's at their size.
+def images_of(
+    twin: SensorSpecification, measurement: Measurement, reference: Measurement | None
+) -> tuple[MeasuredImages, TwinCamera]:
+    """Return the images of a measurement, and the model of the twin's at their size.
 
     Raises:
         FileNotFoundError, ValueError: as `read_images`; or images of another unit.
     """
-    twin = request.sensor
-    images = read_images(request.measured, sensor=twin, indenters=request.indenters)
+    images = read_images(measurement, sensor=twin)
     height, width = images.idle_images.shape[1:3]
     idle, owner = None, f"the idle frame of {twin.name}"
-    if request.reference is not None:
-        reference = read_images(request.reference, sensor=twin, indenters=request.indenters)
-        idle, owner = reference.idle, "that of the reference"
+    if reference is not None:
+        idle, owner = read_images(reference, sensor=twin).idle, "that of the reference"
         check_same_unit(idle, images.idle, owner=owner)
     camera = twin.camera
     if width * camera.height != height * camera.width:
@@ -147,7 +152,10 @@ def _check_enough(case: OpticalCase) -> None:
 
 
 def _null_of(
-    request: GapRequest, effects: Sequence[Effect], progress: Progress
+    request: GapRequest,
+    reference: Measurement | None,
+    effects: Sequence[Effect],
+    progress: Progress,
 ) -> tuple[OpticalNull, list[str], int]:
     """Return what images show where nothing is missing, what limits that, and how many solves it
     took. Nothing is missing in a reference: it gives the sizes of effects that the file does not
@@ -157,13 +165,12 @@ def _null_of(
     if not unknown:
         return null, [], 0
     reason = ""
-    if request.reference is not None:
+    if reference is not None:
         try:
-            commissioned = replace(request, measured=request.reference)
-            case = case_of(commissioned, *images_of(commissioned), progress)
+            images, model = images_of(request.sensor, reference, reference)
+            case = case_of(request, images, model, progress)
             _check_enough(case)
-            folder = read_data_set(request.reference).directory.name
-            source = f"{len(case.shots) - 1} trajectories of {folder}"
+            source = f"{len(case.shots) - 1} trajectories of {reference.directory.name}"
             names = ", ".join(effect.name for effect in unknown)
             limit = (
                 f"the file of the images' noise does not hold {names}: their limits come from "
@@ -182,6 +189,8 @@ def unusable_images(reason: str) -> OpticalFindings:
 
 def find_optical(
     request: GapRequest,
+    measurement: Measurement,
+    reference: Measurement | None,
     effects: Sequence[Effect],
     findings: Findings | None,
     overlay: Overlay | None,
@@ -189,8 +198,8 @@ def find_optical(
 ) -> tuple[OpticalFindings, tuple[FoundEffect, ...], str, int]:
     """Return the optical part, its effects for the overlay, the hash of the images, and how many
     solves it took."""
-    images, model = images_of(request)
-    null, limits, solves = _null_of(request, effects, progress)
+    images, model = images_of(request.sensor, measurement, reference)
+    null, limits, solves = _null_of(request, reference, effects, progress)
     warnings = [*images.warnings, *limits]
     known = [effect for effect in effects if null.knows(effect)]
     not_tried = [effect for effect in effects if effect not in known]

@@ -1,30 +1,22 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads the images of a data set for the gap finder, and reports what of them cannot be used."""
+"""Images of a data set as the gap finder sees them, and what of them cannot be used."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cache
-from pathlib import Path
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.data.data_set import DataSet, find_indenter, read_data_set
-from dotsim_ros.data.reading import read_press_images, starts_in_session
-from dotsim_ros.data.recording import Recording, Span, recording_of
+from dotsim_ros.data.measurement import Measurement
+from dotsim_ros.data.reading import BadBagError
+from dotsim_ros.data.recording import Recording, recording_of
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.specification import SensorSpecification
-
-MOST_IMAGES = 300
-"""Most images of a data set that are used; trajectories are thinned evenly to this number."""
-LEAST_FRAMES = 4
-"""Least number of frames of a trajectory that is thinned."""
 
 ALIKE = 0.5
 """Correlation of the pattern of two idle frames of one unit; those of two units have 0.2 to 0.3 at
@@ -72,65 +64,46 @@ class MeasuredImages:
         return np.rint(self.idle_images.mean(axis=0)).astype(np.uint8)
 
 
-def read_images(
-    directory: str | Path | DataSet,
-    *,
-    sensor: SensorSpecification,
-    indenters: str | Path | None = None,
-) -> MeasuredImages:
-    """Read the images of a data set.
-
-    Args:
-        directory: the folder that holds dataset.yaml.
-        sensor: the twin.
-        indenters: folder of the indenters' meshes; None as `find_indenter`.
+def read_images(measurement: Measurement, *, sensor: SensorSpecification) -> MeasuredImages:
+    """Return the images of a measurement as a twin sees them, next to its idle images.
 
     Raises:
-        FileNotFoundError: no data set there.
-        ValueError: no idle image, one that shows a contact, or no trajectory with images.
+        FileNotFoundError: no idle image.
+        ValueError: an idle image that shows a contact, or no trajectory with images.
     """
     # Loaded on use: they start Warp.
     from dotsim_ros.gel.make import skin_of
     from dotsim_ros.optics.idle_check import mean_idle_image, read_idle_images
     from dotsim_ros.twin.simulator import base_in_data_m, seen_from
 
-    data_set = read_data_set(directory)
+    data_set = measurement.data_set
     skin, base_m = skin_of(sensor.gel), base_in_data_m(sensor, data_set)
     paths = data_set.idle_images()
     idle_images = read_idle_images(paths)
     mean_idle_image(idle_images, paths)
-    entries = [entry for entry in data_set.entries if entry.has_images]
-    most = _most_frames([entry.frame_count for entry in entries])
-    # Each mesh is read, and found to be closed, once.
-    indenter_of = cache(lambda name: find_indenter(data_set, name, indenters))
-    warnings: list[str] = []
-    found: dict[str, ImageTrajectory] = {}
-    spans_s: dict[str, Span] = {}
+    warnings = [*measurement.image_warnings]
+    trajectories = []
     digest = hashlib.sha256(idle_images.tobytes())
-    for entry in entries:
+    for footage in measurement.footage:
+        images = footage.images
         try:
-            one = read_press_images(entry, idle=idle_images[0], most=most)
-            indenter = indenter_of(entry.indenter)
-            spans_s[entry.name] = one.span_s
-            recording = recording_of(seen_from(one.press, base_m), indenter, skin, one.delay_s)
-            found[entry.name] = ImageTrajectory(recording, one.pixels)
-            digest.update(one.pixels.tobytes())
-        except (FileNotFoundError, ValueError) as error:
-            warnings.append(f"the images of {entry.name} were left out: {error}")
-    if not found:
+            images.check_size(idle_images[0])
+        except BadBagError as error:
+            warnings.append(f"the images of {images.press.name} were left out: {error}")
+            continue
+        press = seen_from(images.press, base_m)
+        recording = recording_of(press, footage.indenter, skin, footage.session_s)
+        trajectories.append(ImageTrajectory(recording, images.pixels))
+        digest.update(images.pixels.tobytes())
+    if not trajectories:
         raise ValueError(
             f"no trajectory of {data_set.directory} has images that can be used; record the "
             "camera's images next to the poses, and say 'images: true' in the index"
             + "".join(f"; {text}" for text in warnings)
         )
-    spans = [spans_s.get(entry.name) for entry in data_set.entries]
-    starts_s = starts_in_session(data_set, spans)
-    trajectories = tuple(
-        _later(found[entry.name], start_s)
-        for entry, start_s in zip(data_set.entries, starts_s, strict=True)
-        if entry.name in found
+    return MeasuredImages(
+        idle_images, tuple(trajectories), tuple(warnings), digest.hexdigest()[:16]
     )
-    return MeasuredImages(idle_images, trajectories, tuple(warnings), digest.hexdigest()[:16])
 
 
 def check_same_unit(idle: ImageArray, measured: ImageArray, *, owner: str) -> None:
@@ -187,18 +160,3 @@ def _fine(image: ImageArray) -> NDArray[np.float32]:
     fine = grey - level
     fine[level < 0.1 * level.max()] = 0.0
     return np.asarray(fine / np.maximum(level, 1.0), dtype=np.float32)
-
-
-def _most_frames(counts: Sequence[int]) -> int:
-    """Return to how many frames each trajectory is thinned; 0 stands for a count that is not
-    known."""
-    if all(counts) and sum(counts) <= MOST_IMAGES:
-        return MOST_IMAGES
-    return max(LEAST_FRAMES, MOST_IMAGES // max(len(counts), 1))
-
-
-def _later(one: ImageTrajectory, start_s: float) -> ImageTrajectory:
-    """Return a trajectory whose time in the session counts from its own start, counted from that of
-    the session."""
-    recording = one.recording
-    return replace(one, recording=replace(recording, session_s=start_s + recording.session_s))

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from dotsim_ros.data.measurement import Measurement, one_of_each, protocol_of, read_measurement
 from dotsim_ros.data.plausibility import check_same_shape
+from dotsim_ros.effects.effect import IMAGE
 from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.effects.simulate import EffectSolver, open_solver
 from dotsim_ros.gap import decision
@@ -28,7 +30,7 @@ from dotsim_ros.gap.presses.conclusions import findings_of
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy, noise_from_idle
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_case
 from dotsim_ros.gap.presses.screening import excited_variants, planned_requests
-from dotsim_ros.gap.presses.search_state import GapRequest, Progress, Search
+from dotsim_ros.gap.presses.search_state import MECHANICAL, GapRequest, Progress, Search
 from dotsim_ros.gap.presses.weighed import (
     EFFECT,
     is_wrong,
@@ -48,7 +50,29 @@ FIRST_COSTS = 1.65
 indenter, and wait for the last gel. Measured over both steps of eight trajectories on two cores."""
 
 
-def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, Overlay | None]:
+def read_measurements(request: GapRequest) -> tuple[Measurement, Measurement | None]:
+    """Read what the channels of a request need of its data set, and of its reference.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_measurement`.
+    """
+    read = partial(
+        read_measurement,
+        own_skin=skin_of(request.sensor.gel),
+        indenters=request.indenters,
+        presses=any(channel in MECHANICAL for channel in request.channels),
+        images=IMAGE in request.channels,
+    )
+    reference = request.reference
+    return read(request.measured), None if reference is None else read(reference)
+
+
+def search_presses(
+    request: GapRequest,
+    measurement: Measurement,
+    reference: Measurement | None,
+    progress: Progress,
+) -> tuple[Findings, Overlay | None]:
     """Search a data set; return what was found, and the overlay if an effect was named.
 
     Raises:
@@ -56,7 +80,7 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         ValueError: data that cannot be used; the text says why and what to do.
     """
     begun_s = time.monotonic()
-    measurement, reference = _read(request)
+    _check_skins(request, measurement, reference)
     scale, weight_warnings = weighed_scale(request)
     if scale is not None:
         measurement = with_right_forces(measurement, scale)
@@ -118,21 +142,18 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
     return replace(findings, solve_count=solver.solve_count, seconds=seconds), overlay
 
 
-def _read(request: GapRequest) -> tuple[Measurement, Measurement | None]:
-    own = skin_of(request.sensor.gel)
-    measurement = read_measurement(request.measured, own_skin=own, indenters=request.indenters)
-    check_same_shape(
-        measurement.skin, own, data=str(measurement.directory), sensor=request.sensor.name
-    )
-    if request.reference is None:
-        return measurement, None
-    reference = read_measurement(request.reference, own_skin=own, indenters=request.indenters)
-    if reference.skin.vertex_count != measurement.skin.vertex_count:
+def _check_skins(
+    request: GapRequest, measurement: Measurement, reference: Measurement | None
+) -> None:
+    """Refuse the skin of another sensor, and one that the reference does not have."""
+    directory, own = measurement.directory, skin_of(request.sensor.gel)
+    check_same_shape(measurement.skin, own, data=str(directory), sensor=request.sensor.name)
+    count = measurement.skin.vertex_count
+    if reference is not None and reference.skin.vertex_count != count:
         raise ValueError(
             f"{reference.directory} lists {reference.skin.vertex_count} points of the skin, "
-            f"{measurement.directory} {measurement.skin.vertex_count}; record both in the same way"
+            f"{directory} {count}; record both in the same way"
         )
-    return measurement, reference
 
 
 def _plan(
