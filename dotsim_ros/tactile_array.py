@@ -34,7 +34,7 @@ from dotsim_ros.optics.idle import part_of_idle
 from dotsim_ros.optics.network import completion_network
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.sensor import FARTHEST_M
+from dotsim_ros.sensor import FARTHEST_M, FRAME_S
 from dotsim_ros.specification import SensorSpecification, given_sensor
 
 AnIndenter = str | Path | Mapping[str, Any] | Indenter
@@ -194,7 +194,10 @@ class TactileArray:
         self._renderer.render(self._skin_m)
 
     def step(
-        self, position_m: ArrayLike | torch.Tensor, quaternion_xyzw: ArrayLike | torch.Tensor
+        self,
+        position_m: ArrayLike | torch.Tensor,
+        quaternion_xyzw: ArrayLike | torch.Tensor,
+        dt_s: float = FRAME_S,
     ) -> ArrayFrame:
         """Move each indenter to its pose on a straight way and return what the sensors give.
 
@@ -204,10 +207,13 @@ class TactileArray:
             position_m: (B, 3) of the indenters' frames (origin at the tip, +z away from the gel),
                 base frame.
             quaternion_xyzw: (B, 4), of any length but zero.
+            dt_s: seconds since the last step; they matter to a gel that relaxes.
 
         Raises:
-            ValueError: another shape, or what is no number.
+            ValueError: another shape, what is no number, or a duration that is not positive.
         """
+        if not dt_s > 0.0:
+            raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
         position = self._given(position_m, "position_m", 3)
         quaternion = self._given(quaternion_xyzw, "quaternion_xyzw", 4)
         norm = quaternion.norm(dim=1, keepdim=True)
@@ -223,7 +229,7 @@ class TactileArray:
         position, quaternion = self._or_last(is_valid, position, quaternion)
         is_valid &= self._clearance.suffices(self._position_m, position, quaternion)
         self._position_m, self._quaternion = self._or_last(is_valid, position, quaternion)
-        state = self._gel.step(self._position_m, self._quaternion)
+        state = self._gel.step(self._position_m, self._quaternion, dt_s)
         is_valid &= torch.isfinite(state.left_m)
         changed = is_valid[:, None]
         self._skin_m = torch.where(changed[:, None], state.skin_position_m, self._skin_m)

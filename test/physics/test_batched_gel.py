@@ -161,6 +161,42 @@ def test_a_thin_pad_is_followed_deep_and_aside():
         assert off_n < 0.01 * np.linalg.norm(right.wrench.force_n)
 
 
+def test_a_gel_relaxes_as_the_implicit_gel_does():
+    pad = load_sensor("flat_pad")
+    material = replace(pad.material, prony_shares=(0.3, 0.2), prony_times_s=(0.1, 1.0))
+    sensor = replace(pad, material=material)
+    sphere = load_indenter("sphere_4mm")
+    gel, single = BatchedGel(sensor, sphere, 2), solved_closely(sensor, sphere)
+    top_m = pad.gel.pad_size_m[2]
+    # Pressed, held, slid and released; the other gel is left at another time.
+    ways = [(0.4, 0.0), (0.8, 0.0), *[(0.8, 0.0)] * 4, (0.8, 0.3), (-0.5, 0.3), (-0.5, 0.3)]
+    loads_n = []
+    for number, (depth_mm, aside_mm) in enumerate(ways):
+        pose = Pose(np.array([1.0 + aside_mm, 0.0, 1e3 * top_m - depth_mm]) * 1e-3)
+        other = pose if number < 3 else Pose(np.array([0.0, 0.0, 2.0 * top_m]))
+        dt_s = 0.02 if number < 2 else 0.3
+        found = gel.step(
+            np.array([pose.position_m, other.position_m]),
+            np.array([pose.quaternion_xyzw, other.quaternion_xyzw]),
+            dt_s,
+        )
+        [right] = single.step([pose], dt_s)
+        loads_n.append(right.wrench.force_n[2])
+        np.testing.assert_allclose(found.force_n[0], right.wrench.force_n, atol=0.01 * max(loads_n))
+        skin_m = found.skin_position_m[0].numpy() - right.skin_position_m
+        assert np.linalg.norm(skin_m, axis=1).max() < 6e-6, number
+    assert loads_n[5] < 0.75 * loads_n[1]
+    # What is remembered after the release is what moves the skin then.
+    left_m = np.abs(found.skin_position_m.numpy() - gel.rest_position_m).max(axis=(1, 2))
+    assert left_m[0] > 10e-6
+    assert 0.0 < left_m[1] < 0.5 * left_m[0]
+    gel.reset(torch.tensor([True, False]))
+    found = step(gel, [Pose(np.array([0.0, 0.0, 2.0 * top_m]))] * 2)
+    moved_m = np.abs(found.skin_position_m.numpy() - gel.rest_position_m).max(axis=(1, 2))
+    assert moved_m[0] == 0.0
+    assert moved_m[1] > 0.0
+
+
 def test_the_compliance_at_rest_is_that_of_the_whole_stiffness_inverted():
     sensor = load_sensor("digit")
     body, law = body_of(sensor.gel), law_of(sensor.material)

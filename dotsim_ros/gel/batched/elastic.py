@@ -26,6 +26,10 @@ class ElasticForces:
         law: the material.
         count: B.
         device: torch's name of the device.
+
+    Attributes:
+        fast_share, history_pa: (B,) what relaxation leaves of each gel's stress, and the stress
+            (3 P, 3, B) that it remembers; empty where nothing relaxes.
     """
 
     def __init__(
@@ -41,14 +45,18 @@ class ElasticForces:
         self._law: Any = wp.array(
             np.tile(law.coefficients_pa(), (count, 1)), dtype=kernels.coefficients, device=device
         )
+        self.node_count, self.device = d.node_count, device
+        self.fast_share = torch.ones(count, device=device)
+        self.history_pa = torch.empty(0, 3, count, device=device)
         self._linear = sparse_tensor(linear_stiffness(d, law, GHOST_PENALTY), device)
 
-    def __call__(self, displacement_m: torch.Tensor) -> torch.Tensor:
-        """Return the derivative of the elastic energy (N, 3, B) by displacements (N, 3, B)."""
+    def __call__(self, displacement_m: torch.Tensor, gels: torch.Tensor) -> torch.Tensor:
+        """Return the derivative of the elastic energy (N, 3, b) of some gels (b,) by their
+        displacements (N, 3, b)."""
         n, _, b = displacement_m.shape
         cells = len(self._gradient)
         flat = displacement_m.reshape(n, 3 * b)
-        gradient = torch.bmm(self._gradient, flat[self._cell_node].view(cells, 27, 3 * b))
+        gradient = self._at_particles(flat)
         stress = torch.empty_like(gradient)
         wp.launch(
             kernels.first_piola_kirchhoff,
@@ -57,6 +65,9 @@ class ElasticForces:
                 wp.from_torch(gradient.view(-1, 3, b)),
                 self._volume,
                 self._law,
+                wp.from_torch(gels.to(torch.int32)),
+                wp.from_torch(self.fast_share),
+                wp.from_torch(self.history_pa),
                 wp.from_torch(stress.view(-1, 3, b)),
             ],
             device=self._volume.device,
@@ -64,6 +75,25 @@ class ElasticForces:
         force = self._linear @ flat
         force.index_add_(0, self._cell_node, torch.bmm(self._divergence, stress).view(-1, 3 * b))
         return force.view(n, 3, b)
+
+    def shape_stress(self, displacement_m: torch.Tensor) -> torch.Tensor:
+        """Return the second Piola-Kirchhoff stress (3 P, 3, B), Pa, of the part of the energy that
+        relaxes, at displacements (N, 3, B)."""
+        n, _, b = displacement_m.shape
+        gradient = self._at_particles(displacement_m.reshape(n, 3 * b)).view(-1, 3, b)
+        stress = torch.empty_like(gradient)
+        wp.launch(
+            kernels.second_piola_kirchhoff,
+            dim=(len(gradient) // 3, b),
+            inputs=[wp.from_torch(gradient), self._law, wp.from_torch(stress)],
+            device=self._volume.device,
+        )
+        return stress
+
+    def _at_particles(self, flat_m: torch.Tensor) -> torch.Tensor:
+        """Return the gradients (C, 24, 3 B) of displacements (N, 3 B) at the particles of cells."""
+        cells = len(self._gradient)
+        return torch.bmm(self._gradient, flat_m[self._cell_node].view(cells, 27, -1))
 
 
 def sparse_tensor(matrix: Any, device: str) -> torch.Tensor:

@@ -26,6 +26,7 @@ from dotsim_ros.gel.batched import kernels
 from dotsim_ros.gel.batched.contact import Contact, Markers, matrices, solve_contact, vectors
 from dotsim_ros.gel.batched.elastic import ElasticForces
 from dotsim_ros.gel.batched.mixing import Mixing
+from dotsim_ros.gel.batched.relaxation import Relaxation
 from dotsim_ros.gel.batched.rest_compliance import RestCompliance, kept_blocks
 from dotsim_ros.gel.batched.skin import Skin, rounded_up, stencils_of
 from dotsim_ros.gel.discretization import discretize
@@ -33,7 +34,7 @@ from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.implicit.contact import ONSET_M, contact_law
 from dotsim_ros.gel.implicit.refinement import refine
 from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
-from dotsim_ros.gel.make import body_of, law_of, skin_of
+from dotsim_ros.gel.make import body_of, material_of, skin_of
 from dotsim_ros.gel.material import small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.io.arrays import FloatArray
@@ -153,8 +154,8 @@ class BatchedGel:
         field: Warp array (B,) of the indenters as kernels know them, `IndenterField`.
 
     Raises:
-        ValueError: an argument of another length than B, a gel with relaxation or inertia, or one
-            that has come off its core.
+        ValueError: an argument of another length than B, a gel with inertia, or one that has come
+            off its core.
     """
 
     def __init__(
@@ -170,18 +171,22 @@ class BatchedGel:
         device: str = "cpu",
     ) -> None:
         s = specification
-        if s.material.prony_shares or s.solver.dynamic or s.gel.bond_slip_share:
+        if s.solver.dynamic or s.gel.bond_slip_share:
             raise ValueError(
-                "material.prony_shares, solver.dynamic or gel.bond_slip_share is given; a batched "
-                "gel has no relaxation, no inertia and a sound bond: leave it out"
+                "solver.dynamic or gel.bond_slip_share is given; a batched gel has no inertia and "
+                "a sound bond: leave it out"
             )
         self.count, self.device, self.effort = count, device, effort or Effort()
-        law, body, mesh = law_of(s.material), body_of(s.gel), skin_of(s.gel)
+        material, body, mesh = material_of(s.material), body_of(s.gel), skin_of(s.gel)
+        law = material.law
         is_fine = grid == "fine"
         spacing_m = s.solver.grid_spacing_m * (0.5 if is_fine else 1.0)
         d = discretize(body, mesh.rest_position_m, spacing_m)
         self._spacing_m = d.spacing_m
         self._elastic = ElasticForces(d, law, count, device)
+        self._relaxation = None
+        if material.prony.shares:
+            self._relaxation = Relaxation(material.prony, self._elastic, count)
         skin_m = mesh.rest_position_m
         self._rest = RestCompliance(d, kept_blocks(body, skin_m, d, law), device)
         fine = None
@@ -240,6 +245,9 @@ class BatchedGel:
         def zeros(*shape: int) -> torch.Tensor:
             return torch.zeros(*shape, device=self.device)
 
+        if self._relaxation is not None:
+            every = torch.ones(b, dtype=torch.bool, device=self.device)
+            self._relaxation.reset(every if gels is None else gels)
         self._u_m, self._u_change_m = zeros(n, 3, b), zeros(n, 3, b)
         self._marker_force_n, self._slip_m = zeros(b, v, 3), zeros(b, v, 3)
         self._skin_m = self._all_at_rest_m.clone()
@@ -261,12 +269,15 @@ class BatchedGel:
             rest = getattr(self, name)
             setattr(self, name, torch.where(_mask(name, gels, rest), rest, value))
 
-    def step(self, position_m: FloatArray, quaternion_xyzw: FloatArray) -> BatchState:
+    def step(
+        self, position_m: FloatArray, quaternion_xyzw: FloatArray, dt_s: float = 0.04
+    ) -> BatchState:
         """Move each indenter to its pose on a straight way and find the gels.
 
         Args:
             position_m: (B, 3) base frame.
             quaternion_xyzw: (B, 4).
+            dt_s: duration; without relaxation it does not matter.
         """
         target = torch.as_tensor(position_m, dtype=torch.float32, device=self.device)
         quaternion = torch.as_tensor(quaternion_xyzw, dtype=torch.float32, device=self.device)
@@ -283,9 +294,14 @@ class BatchedGel:
         depth = torch.where(self._is_touching, -self._rest_gap(start, start_turn), 0.0)
         longest = (2.0 * depth).clamp(TOUCH_SHARE * self._spacing_m, LARGEST_MOVE_M)
         moves = (way * (1.0 - touch) / longest).ceil().clamp(min=1.0)
-        # A gel that nothing touches in the end is at rest, whatever the way.
-        moves = torch.where(self._rest_gap(target, turn) < ONSET_M, moves, 1.0)
+        # A gel that nothing touches in the end is at rest, whatever the way, if it does not relax.
+        matters = self._rest_gap(target, turn) < ONSET_M
+        if self._relaxation is not None:
+            matters = matters | self._is_touching
+        moves = torch.where(matters, moves, 1.0)
         for number in range(1, int(moves.max()) + 1):
+            if self._relaxation is not None:
+                self._relaxation.begin(dt_s / moves)
             share = (touch + (1.0 - touch) * number / moves).clamp(max=1.0)
             between = nearest_rotation(start_turn + share[:, None, None] * (turn - start_turn))
             is_last = number >= moves
@@ -366,6 +382,9 @@ class BatchedGel:
         here = _to_local(self._skin_m, origin_m, rotation)
         self._local_m = torch.where(fresh, here, self._local_m)
         share = self._share_of_last_move(origin_m, begins)
+        in_contact = touches[:, None, None]
+        # A gel that relaxes goes on moving when nothing touches it any more.
+        is_loaded = touches if self._relaxation is None else torch.ones_like(touches)
         move = origin_m - self._origin_m
         unexpected_m = (move - share[:, None] * self._move_m).norm(dim=1)
         near_m = NEAR_M + torch.where(self._is_touching, unexpected_m, 0.0)
@@ -375,11 +394,11 @@ class BatchedGel:
                 self._u_m + share * self._u_change_m,
                 markers,
                 needed,
-                self._guess(markers, share),
-                touches & is_moving,
+                torch.where(in_contact, self._guess(markers, share), markers.gather(self._skin_m)),
+                is_loaded & is_moving,
             )
-            force = torch.where(touches[:, None, None], contact.force_n, 0.0)
-            u = torch.where(touches, u, 0.0)
+            force = torch.where(in_contact, contact.force_n, 0.0)
+            u, left = torch.where(is_loaded, u, 0.0), torch.where(is_loaded, left, 0.0)
             skin = self._skin.positions(u, markers.index, force)
             gap = self._skin_distance(skin, origin_m, rotation)
             others = gap.scatter(1, markers.index, torch.inf).amin(dim=1)
@@ -483,7 +502,7 @@ class BatchedGel:
         is_done = torch.zeros_like(gels, dtype=torch.bool)
         for outer in range(effort.outer if len(gels) else 0):
             index = markers.index[gels]
-            free = u - self._rest.apply(self._elastic(u))
+            free = u - self._rest.apply(self._elastic(u, gels))
             base = self._skin.markers_at(index, free)
             steps = effort.newton * (FIRST_STEPS if outer == 0 else 1)
             contact = self._solve_contact(parts, base, force, guess, steps)
@@ -591,11 +610,13 @@ class BatchedGel:
             "_force_n": -force.sum(dim=1),
             "_torque_nm": -torque,
             "_penetration_m": torch.where(touches, deepest, 0.0),
-            "_left_m": torch.where(touches, left_m, 0.0),
+            "_left_m": left_m,
             "_is_touching": touches,
         }
         is_finite = u.isfinite().all(dim=1).all(dim=0) & skin.isfinite().all(dim=2).all(dim=1)
         diverged, is_moving = is_moving & ~is_finite, is_moving & is_finite
+        if self._relaxation is not None:
+            self._relaxation.finish(u, is_moving)
         if not self._on_host or not bool(is_moving.all()):
             for name, value in new.items():
                 before = getattr(self, name)

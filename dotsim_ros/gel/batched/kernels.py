@@ -24,21 +24,55 @@ pressure = _contact.pressure
 pressure_slope = _contact.pressure_slope
 
 
+@wp.func
+def deformation_gradient(gradient: wp.array3d(dtype=wp.float32), p: int, b: int):
+    """Return F of a particle, of gradient[3 p + j, i, b] = du_i/dX_j."""
+    f = wp.identity(3, dtype=wp.float32)
+    for i in range(3):
+        for j in range(3):
+            f[i, j] = f[i, j] + gradient[3 * p + j, i, b]
+    return f
+
+
 @wp.kernel
 def first_piola_kirchhoff(
     gradient: wp.array3d(dtype=wp.float32),
     volume: wp.array(dtype=wp.float32),
     law: wp.array(dtype=coefficients),
+    gel: wp.array(dtype=wp.int32),
+    fast_share: wp.array(dtype=wp.float32),
+    history: wp.array3d(dtype=wp.float32),
     stress: wp.array3d(dtype=wp.float32),
 ):
-    """Write V P of each particle; gradient[3 p + j, i, b] is du_i/dX_j, stress likewise."""
+    """Write V P of each particle; gradient[3 p + j, i, b] is du_i/dX_j, stress likewise. gel
+    numbers what relaxation leaves of each gel's fast stress, and the stress that it remembers,
+    which is empty where nothing relaxes."""
     p, b = wp.tid()
+    f = deformation_gradient(gradient, p, b)
+    g = gel[b]
+    result = fast_share[g] * shape_stress(f, law[b]) + volume_stress(f, law[b])
+    if history.shape[0] > 0:
+        remembered = wp.mat33()
+        for i in range(3):
+            for j in range(3):
+                remembered[i, j] = history[3 * p + j, i, g]
+        result += f * remembered
     v = volume[p]
-    f = wp.identity(3, dtype=wp.float32)
     for i in range(3):
         for j in range(3):
-            f[i, j] = f[i, j] + gradient[3 * p + j, i, b]
-    result = v * (shape_stress(f, law[b]) + volume_stress(f, law[b]))
+            stress[3 * p + j, i, b] = v * result[i, j]
+
+
+@wp.kernel
+def second_piola_kirchhoff(
+    gradient: wp.array3d(dtype=wp.float32),
+    law: wp.array(dtype=coefficients),
+    stress: wp.array3d(dtype=wp.float32),
+):
+    """Write the stress of the part of the energy that relaxes; arrays as above."""
+    p, b = wp.tid()
+    f = deformation_gradient(gradient, p, b)
+    result = wp.inverse(f) * shape_stress(f, law[b])
     for i in range(3):
         for j in range(3):
             stress[3 * p + j, i, b] = result[i, j]
