@@ -79,11 +79,10 @@ ARM = [
 LIVE = [
     "websockets>=13",
 ]
-# data sets of simulated touches, for LeRobot and for training on frames
+# data sets in the layout of LeRobot
 DATASET = [
     "av>=12",
     "pyarrow>=16",
-    "zarr>=3",
 ]
 # bags and topics in its viewer; LeRobot has one of before 0.27
 RERUN = [

@@ -60,9 +60,7 @@ KNOWN: dict[str, Callable[[], bool]] = {
     "launch(_ros)? comes with a ROS installation": _without_module("launch_ros"),
     "not installed in a workspace": _anywhere,  # only `colcon test` has it there
     "cannot be built here": _without_program("gcc"),
-    "needs the extra dataset": lambda: any(
-        _without_module(name)() for name in ("av", "pyarrow", "zarr")
-    ),
+    "needs the extra dataset": lambda: any(_without_module(name)() for name in ("av", "pyarrow")),
     "lerobot is not installed": _without_module("lerobot"),
     "xarm_msgs is installed": lambda: not _without_module("xarm_msgs")(),
     "needs the right to mount": lambda: os.geteuid() != 0,

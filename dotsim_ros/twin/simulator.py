@@ -202,7 +202,7 @@ class GelSimulator:
         Raises:
             SolveError: a pose presses too deep, or the gel has no equilibrium that can be found.
         """
-        gel = self._gel(values, indenter, relaxation)
+        gel = self.gel(values, indenter, relaxation)
         moved = list(poses) if offset is None else [offset_pose(pose, offset) for pose in poses]
         base_m = raised_m(self._body, self.skin, values.thickness_m)
         if base_m.any():
@@ -222,9 +222,11 @@ class GelSimulator:
         if self._refined:
             self._table(number)
 
-    def _gel(
-        self, values: GelValues, indenter: Indenter, relaxation: PronySeries | None
+    def gel(
+        self, values: GelValues, indenter: Indenter, relaxation: PronySeries | None = None
     ) -> ImplicitGel:
+        """Return the gel that `press` steps, at rest; its Young's modulus is
+        `REFERENCE_MODULUS_PA`, and the base of a pad of another thickness is at 0."""
         v = values
         specification = specification_with(
             self.specification, replace(v, youngs_modulus_pa=REFERENCE_MODULUS_PA)

@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +110,8 @@ FAR_SLIDE_M = 0.1e-3
 NEIGHBOURS = 4
 NEIGHBOUR_M = 0.1e-3
 """Distance at which a neighbour's weight is half of that of one right here."""
+AT_LIMIT = 0.98
+"""A marker slips where its friction is this share of what its pressure allows, or more."""
 SNAP = 1.5
 """Gel that moves by more than this multiple of the indenter's motion has snapped through."""
 CORE_CLEARANCE_M = 1.5e-3
@@ -142,6 +145,8 @@ class GelState:
         iterations: Newton iterations, all substeps together.
         converged: whether every substep met the tolerance.
         timings_s: seconds spent, by part.
+        slip_share: share of the pressure that markers bear whose friction is at its limit; 0
+            without contact.
     """
 
     displacement_m: FloatArray
@@ -152,6 +157,7 @@ class GelState:
     iterations: int
     converged: bool
     timings_s: dict[str, float] = field(default_factory=dict)
+    slip_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -428,7 +434,7 @@ class ImplicitGel:
             converged = converged and reached
         world.pose = path[-1]
         response, patch = world.response, world.patch
-        wrench, penetration, count = Wrench(), 0.0, 0
+        wrench, penetration, count, slip_share = Wrench(), 0.0, 0, 0.0
         if response is not None and patch is not None:
             # Of what the gel bears: the contact law's forces at these markers are off by as much as
             # the markers are from balance, and a micrometre of the skin is a tenth of the pressure.
@@ -436,6 +442,7 @@ class ImplicitGel:
             wrench = wrench_on_indenter(world.skin_position_m[marker], world.marker_force_n[marker])
             penetration = max(0.0, -float(response.distance_m.min(initial=np.inf)))
             count = int(np.count_nonzero(response.pressure_pa))
+            slip_share = _slip_share(response, self.contact.law)
         return GelState(
             world.displacement_m.copy(),
             world.skin_position_m.copy(),
@@ -445,6 +452,7 @@ class ImplicitGel:
             iterations,
             converged,
             trace.timings_s,
+            slip_share,
         )
 
     def _path(self, world: World, pose: Pose | None) -> list[Pose | None]:
@@ -897,6 +905,14 @@ class ImplicitGel:
             )
         world.marker_force_n = marker_force
         world.history = history
+
+
+def _slip_share(response: ContactResponse, law: Any) -> float:
+    """Return the share of the pressure that is borne by markers that slip."""
+    pressure = response.pressure_pa
+    limit_m = law.friction * pressure / law.tangential_stiffness
+    slips = np.linalg.norm(response.slip_m, axis=1) >= AT_LIMIT * limit_m
+    return float(pressure[slips].sum() / max(pressure.sum(), np.finfo(float).tiny))
 
 
 def _forget_traces(force_n: FloatArray) -> None:
