@@ -197,6 +197,24 @@ def test_a_gel_relaxes_as_the_implicit_gel_does():
     assert moved_m[1] > 0.0
 
 
+def test_a_gel_that_has_come_off_its_core_is_that_of_the_implicit_gel(indenters):
+    solver = replace(SENSOR.solver, grid_spacing_m=3.6e-3, refined=False)
+    sound = replace(SENSOR, solver=solver)
+    gel = replace(sound.gel, bond_slip_share=1.0, loose_patch_rad=(0.4, -0.2, 0.8))
+    loose = replace(sound, gel=gel)
+    gels = [BatchedGel(sensor, indenters[0], 1) for sensor in (loose, sound)]
+    single = solved_closely(loose, indenters[0])
+    for depth_m, aside_m in ((0.5e-3, 0.0), (1.5e-3, 0.0), (1.5e-3, 0.5e-3)):
+        pose = pressed(depth_m, aside_m)
+        found, bonded = (step(one, [pose]) for one in gels)
+        [right] = single.step([pose], 0.04)
+        skin_m = found.skin_position_m[0].numpy() - right.skin_position_m
+        assert np.linalg.norm(skin_m, axis=1).max() < 15e-6
+        newtons = np.linalg.norm(right.wrench.force_n)
+        np.testing.assert_allclose(found.force_n[0], right.wrench.force_n, atol=0.005 * newtons)
+    assert np.linalg.norm(bonded.force_n[0] - found.force_n[0]) > 0.012 * newtons
+
+
 def test_the_compliance_at_rest_is_that_of_the_whole_stiffness_inverted():
     sensor = load_sensor("digit")
     body, law = body_of(sensor.gel), law_of(sensor.material)

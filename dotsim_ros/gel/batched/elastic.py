@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy import sparse
 
 from dotsim_ros.gel.batched import kernels
 from dotsim_ros.gel.discretization import Discretization
@@ -26,6 +27,7 @@ class ElasticForces:
         law: the material.
         count: B.
         device: torch's name of the device.
+        lost_bond: (3 N, 3 N) stiffness, N/m, that the bond to the core lacks; None for a sound one.
 
     Attributes:
         fast_share, history_pa: (B,) what relaxation leaves of each gel's stress, and the stress
@@ -33,7 +35,13 @@ class ElasticForces:
     """
 
     def __init__(
-        self, discretization: Discretization, law: ElasticLaw, count: int, device: str
+        self,
+        discretization: Discretization,
+        law: ElasticLaw,
+        count: int,
+        device: str,
+        *,
+        lost_bond: sparse.csr_matrix | None = None,
     ) -> None:
         d = discretization
         cells = group_by_cell(d)
@@ -48,6 +56,7 @@ class ElasticForces:
         self.node_count, self.device = d.node_count, device
         self.fast_share = torch.ones(count, device=device)
         self.history_pa = torch.empty(0, 3, count, device=device)
+        self._lost_bond = None if lost_bond is None else sparse_tensor(lost_bond, device)
         self._linear = sparse_tensor(linear_stiffness(d, law, GHOST_PENALTY), device)
 
     def __call__(self, displacement_m: torch.Tensor, gels: torch.Tensor) -> torch.Tensor:
@@ -73,6 +82,8 @@ class ElasticForces:
             device=self._volume.device,
         )
         force = self._linear @ flat
+        if self._lost_bond is not None:
+            force += (self._lost_bond @ displacement_m.reshape(3 * n, b)).view(n, 3 * b)
         force.index_add_(0, self._cell_node, torch.bmm(self._divergence, stress).view(-1, 3 * b))
         return force.view(n, 3, b)
 
@@ -98,7 +109,7 @@ class ElasticForces:
 
 def sparse_tensor(matrix: Any, device: str) -> torch.Tensor:
     """Return a SciPy matrix as a sparse tensor of single precision."""
-    csr = matrix.tocsr()
+    csr = matrix.tocsr().sorted_indices()
     with warnings.catch_warnings():
         # Of all that torch's sparse tensors can do, only their product with a matrix is used.
         warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta")

@@ -29,12 +29,13 @@ from dotsim_ros.gel.batched.mixing import Mixing
 from dotsim_ros.gel.batched.relaxation import Relaxation
 from dotsim_ros.gel.batched.rest_compliance import RestCompliance, kept_blocks
 from dotsim_ros.gel.batched.skin import Skin, rounded_up, stencils_of
+from dotsim_ros.gel.bond import lost_stiffness
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.implicit.contact import ONSET_M, contact_law
 from dotsim_ros.gel.implicit.refinement import refine
 from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
-from dotsim_ros.gel.make import body_of, material_of, skin_of
+from dotsim_ros.gel.make import body_of, bond_of, material_of, skin_of
 from dotsim_ros.gel.material import small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.io.arrays import FloatArray
@@ -154,8 +155,7 @@ class BatchedGel:
         field: Warp array (B,) of the indenters as kernels know them, `IndenterField`.
 
     Raises:
-        ValueError: an argument of another length than B, a gel with inertia, or one that has come
-            off its core.
+        ValueError: an argument of another length than B, or a gel with inertia.
     """
 
     def __init__(
@@ -171,11 +171,8 @@ class BatchedGel:
         device: str = "cpu",
     ) -> None:
         s = specification
-        if s.solver.dynamic or s.gel.bond_slip_share:
-            raise ValueError(
-                "solver.dynamic or gel.bond_slip_share is given; a batched gel has no inertia and "
-                "a sound bond: leave it out"
-            )
+        if s.solver.dynamic:
+            raise ValueError("solver.dynamic is given; a batched gel has no inertia: leave it out")
         self.count, self.device, self.effort = count, device, effort or Effort()
         material, body, mesh = material_of(s.material), body_of(s.gel), skin_of(s.gel)
         law = material.law
@@ -183,7 +180,9 @@ class BatchedGel:
         spacing_m = s.solver.grid_spacing_m * (0.5 if is_fine else 1.0)
         d = discretize(body, mesh.rest_position_m, spacing_m)
         self._spacing_m = d.spacing_m
-        self._elastic = ElasticForces(d, law, count, device)
+        bond = bond_of(s.gel)
+        lost_bond = None if bond is None else lost_stiffness(body, d, bond, law)
+        self._elastic = ElasticForces(d, law, count, device, lost_bond=lost_bond)
         self._relaxation = None
         if material.prony.shares:
             self._relaxation = Relaxation(material.prony, self._elastic, count)
