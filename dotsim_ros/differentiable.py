@@ -1,7 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Skin and wrench of a trajectory, differentiable by torch. Entry: `press`.
+"""Skin and wrench of a trajectory, differentiable by torch. Entries: `press`, and `press_each` for
+many.
 
 The gel is solved to rounding and differentiated by its adjoint, friction's history included
 (`gel.adjoint`), so that a frame takes about ten times as long as one of `TactileSensor`. Without
@@ -21,9 +22,11 @@ from dotsim_ros.gel.adjoint.backward import trajectory_gradient
 from dotsim_ros.gel.adjoint.gradient import Gradient, LossGradient
 from dotsim_ros.gel.adjoint.recorder import Recorder
 from dotsim_ros.gel.adjoint.refinement_rate import poisson_rate
+from dotsim_ros.gel.body import Dome, Pad
 from dotsim_ros.gel.implicit.gel import ImplicitGel
-from dotsim_ros.gel.make import law_of, make_gel_batch
+from dotsim_ros.gel.make import body_of, bond_of, law_of, make_gel_batch
 from dotsim_ros.gel.material import ElasticLaw
+from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
 from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
@@ -37,6 +40,7 @@ PARAMETERS = (
     "contact_stiffness",
     "c20_ratio",
     "c30_ratio",
+    "thickness_m",
 )
 """Fields of `gel.values.GelValues` by which there are derivatives."""
 DIFFERENCE = 1.0e-3
@@ -59,9 +63,14 @@ def press(
     *,
     dt_s: float = 0.04,
     pose_twist: torch.Tensor | None = None,
-    **values: torch.Tensor,
+    pose_offset: torch.Tensor | None = None,
+    **values: torch.Tensor | float,
 ) -> Touch:
     """Return skin and wrench while an indenter goes through poses, with derivatives.
+
+    Another thickness stretches the sensor's own gel, its grid and refinement stay: a dome keeps its
+    outer radius, the face of a pad moves. Where this face lies on a plane of the grid, as that of a
+    pad 4 mm thick on a grid of 2 mm does, the derivative is that towards thinner.
 
     Args:
         sensor: the gel; what `values` gives takes the place of its own.
@@ -70,12 +79,14 @@ def press(
         dt_s: between frames.
         pose_twist: (T, 6) a small translation (m) and rotation (rad) of each pose about the base's
             origin, along its axes; there are derivatives by it where it is zero. None for none.
+        pose_offset: (6,) the same of all poses together, along the indenter's axes and about its
+            origin.
         values: scalars by names of `PARAMETERS`.
 
     Raises:
         TypeError: another name.
         ValueError: a value that the sensor cannot have, a twist of another shape or that is not
-            zero, or a gel that has come off its core.
+            zero, a thickness of a dome without a core, or a gel that has come off its core.
         NoEquilibriumError: a frame did not settle.
     """
     unknown = sorted(set(values) - set(PARAMETERS))
@@ -83,17 +94,71 @@ def press(
         raise TypeError(
             f"press() has no parameter {unknown[0]!r}, expected some of {', '.join(PARAMETERS)}"
         )
-    if pose_twist is None:
-        pose_twist = torch.zeros(len(poses), 6, dtype=torch.float64)
-    if pose_twist.shape != (len(poses), 6) or bool(pose_twist.any()):
-        raise ValueError(
-            f"pose_twist has the shape {tuple(pose_twist.shape)}, expected zeros of shape "
-            f"({len(poses)}, 6): move the poses, and take derivatives from there"
-        )
+    if "thickness_m" in values and sensor.gel.shape == "dome" and not sensor.gel.core_radius_m:
+        raise ValueError("thickness_m is given, and a dome without a core has none: leave it out")
+    twist = _zeros(pose_twist, "pose_twist", (len(poses), 6))
+    offset = _zeros(pose_offset, "pose_offset", (6,))
     names = tuple(values)
-    tensors = [torch.as_tensor(values[name]) for name in names]
+    # torch would round a plain number to single precision.
+    tensors = [
+        v if isinstance(v, torch.Tensor) else torch.tensor(v, dtype=torch.float64)
+        for v in values.values()
+    ]
     case = _Case(sensor, indenter, list(poses), dt_s, names)
-    return Touch(*_Press.apply(case, pose_twist, *tensors))
+    return Touch(*_Press.apply(case, twist, offset, *tensors))
+
+
+def press_each(
+    sensor: SensorSpecification,
+    indenters: Sequence[Indenter],
+    poses: Sequence[Sequence[Pose]],
+    *,
+    dt_s: float = 0.04,
+    pose_twist: torch.Tensor | None = None,
+    pose_offset: torch.Tensor | None = None,
+    **values: torch.Tensor | float,
+) -> Touch:
+    """Return what `press` does for B gels, one after the other, with an axis B before the others.
+
+    Args:
+        sensor, dt_s: as for `press`, of all gels.
+        indenters: of each gel.
+        poses: (B, T) of each gel.
+        pose_twist, pose_offset: (B, T, 6) and (B, 6).
+        values: scalars for all gels, or tensors (B,).
+
+    Raises:
+        as `press`; ValueError where a number of gels or frames differs from the others.
+    """
+    count = len(poses)
+    given = {"pose_twist": pose_twist, "pose_offset": pose_offset, **values}
+    each = {n: v for n, v in given.items() if isinstance(v, torch.Tensor) and v.dim() > 0}
+    lengths = {"indenters": len(indenters)} | {name: len(v) for name, v in each.items()}
+    if wrong := [f"{length} {name}" for name, length in lengths.items() if length != count]:
+        raise ValueError(f"{', '.join(wrong)} for {count} gels, expected as many")
+    if len({len(path) for path in poses}) != 1:
+        raise ValueError("the gels have different numbers of poses, or none, expected as many each")
+    touches = []
+    for b in range(count):
+        own: dict[str, Any] = given | {name: v[b] for name, v in each.items()}
+        touches.append(press(sensor, indenters[b], poses[b], dt_s=dt_s, **own))
+    return Touch(*(torch.stack(found) for found in zip(*touches, strict=True)))
+
+
+def _zeros(given: torch.Tensor | None, name: str, shape: tuple[int, ...]) -> torch.Tensor:
+    """Return zeros by which there are derivatives.
+
+    Raises:
+        ValueError: what is given has another shape, or is not zero.
+    """
+    if given is None:
+        return torch.zeros(shape, dtype=torch.float64)
+    if given.shape != shape or bool(given.any()):
+        raise ValueError(
+            f"{name} has the shape {tuple(given.shape)}, expected zeros of shape {shape}: move the "
+            "poses, and take derivatives from there"
+        )
+    return given
 
 
 class _Case:
@@ -114,11 +179,8 @@ class _Case:
         """Return skin, forces and torques of all frames."""
         given: dict[str, Any] = dict(zip(self.names, values, strict=True))
         self.values: GelValues = replace(values_of(self.sensor), **given)
-        self.gel: ImplicitGel = make_gel_batch(
-            specification_with(self.sensor, self.values),
-            indenter=self.indenter,
-            environment_count=1,
-        )
+        self.own_gel = self._own_gel()
+        self.gel = self._stretched(self.own_gel)
         self.recorder = Recorder(self.gel)
         states = [self.recorder.step([pose], self.dt_s)[0] for pose in self.poses]
         return (
@@ -127,11 +189,50 @@ class _Case:
             np.stack([state.wrench.torque_nm for state in states]),
         )
 
+    def _own_gel(self) -> ImplicitGel:
+        """Return a gel of the sensor's own thickness with the values.
+
+        Raises:
+            ValueError: a value that the sensor cannot have.
+        """
+        specification_with(self.sensor, self.values)
+        own = replace(self.values, thickness_m=self.sensor.gel.thickness_m)
+        return make_gel_batch(
+            specification_with(self.sensor, own), indenter=self.indenter, environment_count=1
+        )
+
+    def _stretched(self, gel: ImplicitGel) -> ImplicitGel:
+        """Return a gel that is stretched to the thickness of the values: its response is a smooth
+        function of that, as it would not be on particles and a grid of its own."""
+        body, thickness_m = body_of(self.sensor.gel), self.values.thickness_m
+        if thickness_m == self.sensor.gel.thickness_m:
+            return gel
+        skin, shape = gel.skin, body
+        if isinstance(body, Dome):
+            core_m = body.outer_radius_m - thickness_m
+            shape = ReshapedDome(body.outer_radius_m, core_m, body)
+        elif isinstance(body, Pad):
+            size_m = (*body.size_m[:2], thickness_m)
+            shape = ReshapedPad(size_m, body, curvature_per_m=body.curvature_per_m)
+            moved_m, _, _ = shape.from_reference(skin.rest_position_m)
+            skin = replace(skin, rest_position_m=moved_m)
+        stretched = ImplicitGel(
+            shape,
+            skin,
+            gel.material,
+            contact=gel.contact_specification,
+            solver=replace(gel.solver, refined=False),
+            indenter=self.indenter,
+            bond=bond_of(self.sensor.gel),
+        )
+        stretched.refinement = gel.refinement
+        return stretched
+
     def gradient(self, losses: Sequence[LossGradient]) -> Gradient:
         """Return the derivatives of a loss by everything."""
         rate = None
         if "poisson_ratio" in self.names and self.gel.refinement is not None:
-            rate = poisson_rate(self.gel)
+            rate = poisson_rate(self.own_gel)
         trajectory = self.recorder.trajectories[0]
         return trajectory_gradient(self.gel, trajectory, losses, by_poisson=rate)
 
@@ -141,6 +242,10 @@ class _Case:
             return gradient.friction_coefficient
         if name == "contact_stiffness":
             return gradient.contact_stiffness
+        if name == "thickness_m":
+            # The core of a dome is what gives way.
+            by_length = gradient.geometry
+            return by_length[name] if name in by_length else -by_length["core_radius_m"]
         value = getattr(self.values, name)
         step = DIFFERENCE * (0.5 - value if name == "poisson_ratio" else abs(value) or 1.0)
 
@@ -180,10 +285,10 @@ class _Press(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, case: _Case, pose_twist: torch.Tensor, *values: torch.Tensor
+        ctx: Any, case: _Case, twist: torch.Tensor, offset: torch.Tensor, *values: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
         ctx.case = case
-        ctx.like = (pose_twist, *values)
+        ctx.like = (twist, offset, *values)
         return tuple(torch.as_tensor(found) for found in case.run([float(v) for v in values]))
 
     @staticmethod
@@ -192,7 +297,7 @@ class _Press(torch.autograd.Function):
         losses = [LossGradient(*frame) for frame in zip(skin, force, torque, strict=True)]
         case: _Case = ctx.case
         gradient = case.gradient(losses)
-        found: list[Any] = [case.by_pose(gradient)]
+        found: list[Any] = [case.by_pose(gradient), gradient.indenter_offset]
         found += [case.by_value(gradient, name) for name in case.names]
         return None, *(
             torch.as_tensor(value, dtype=like.dtype).reshape(like.shape)

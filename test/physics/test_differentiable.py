@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.specification import load_sensor
@@ -16,7 +17,7 @@ pytest.importorskip("torch")
 
 import torch
 
-from dotsim_ros.differentiable import Touch, press
+from dotsim_ros.differentiable import Touch, press, press_each
 
 PAD = load_sensor("flat_pad")
 SENSOR = replace(PAD, solver=replace(PAD.solver, refined=False))
@@ -50,10 +51,13 @@ def gradient() -> dict[str, torch.Tensor]:
             ("contact_stiffness", PAD.contact.stiffness),
         )
     }
+    offset = torch.zeros(6, dtype=torch.float64, requires_grad=True)
     twist = torch.zeros(len(PATH), 6, dtype=torch.float64, requires_grad=True)
-    touch = press(SENSOR, load_indenter("sphere_4mm"), PATH, pose_twist=twist, **given)
+    touch = press(
+        SENSOR, load_indenter("sphere_4mm"), PATH, pose_twist=twist, pose_offset=offset, **given
+    )
     loss_of(touch).backward()
-    return {**given, "twist": twist}
+    return {**given, "twist": twist, "offset": offset}
 
 
 @pytest.mark.parametrize(
@@ -83,6 +87,42 @@ def test_derivatives_by_a_pose_are_those_of_differences(gradient, frame, axis):
         found.append(solved(path))
     expected = (found[0] - found[1]) / (2.0 * step)
     assert float(gradient["twist"].grad[frame, axis]) == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_derivative_by_an_offset_is_that_of_all_poses_moved_along_the_indenters_axes(gradient):
+    found = [
+        solved([replace(p, position_m=p.position_m + s * np.eye(3)[2]) for p in PATH])
+        for s in (1e-7, -1e-7)
+    ]
+    expected = (found[0] - found[1]) / 2e-7
+    assert float(gradient["offset"].grad[2]) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "spacing_m", "shares"),
+    [("densetact2", 3.6e-3, (1.0, 1.1)), ("flat_pad", 2.0e-3, (0.97, 0.95))],
+)
+def test_the_derivative_by_thickness_is_that_of_differences_for_each_gel(name, spacing_m, shares):
+    sensor = load_sensor(name)
+    solver = replace(sensor.solver, grid_spacing_m=spacing_m, refined=False)
+    sensor, step_m = replace(sensor, solver=solver), 1e-7
+    top_m = float(skin_of(sensor.gel).rest_position_m[:, 2].max())
+    paths = [[Pose(np.array([0.0, 0.0, top_m + z])) for z in (1e-4, -x)] for x in (4e-4, 6e-4)]
+    balls = [load_indenter("sphere_4mm")] * 2
+    own_m = sensor.gel.thickness_m * torch.tensor(shares, dtype=torch.float64)
+    value = own_m.requires_grad_()
+    force_n = press_each(sensor, balls, paths, thickness_m=value).force_n[:, -1, 2]
+    force_n.sum().backward()
+    alone = [
+        float(press(sensor, balls[1], paths[1], thickness_m=value[1].item() + s).force_n[-1, 2])
+        for s in (step_m, -step_m)
+    ]
+    assert force_n[1].item() == pytest.approx(0.5 * sum(alone), rel=1e-6)
+    expected = (alone[0] - alone[1]) / (2.0 * step_m)
+    assert float(value.grad[1]) == pytest.approx(expected, rel=1e-3)
+    assert float(value.grad[0]) != float(value.grad[1])
+    with pytest.raises(ValueError, match="1 indenters for 2 gels"):
+        press_each(sensor, balls[:1], paths)
 
 
 def test_what_has_no_derivative_is_refused():
