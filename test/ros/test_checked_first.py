@@ -1,17 +1,20 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Of a message that is refused nothing is kept and nothing is done: the inputs of the nodes, with
-messages handed to their callbacks."""
+"""Of a message that is refused nothing is kept and nothing is done: the inputs of a node, whose
+callbacks the tests call."""
 
 from __future__ import annotations
 
+import re
 import time
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from sensor_msgs.msg import CompressedImage
 from sensor_msgs.srv import SetCameraInfo
@@ -19,6 +22,7 @@ from sensor_msgs.srv import SetCameraInfo
 import msg_adapters
 from dotsim_ros.control.safety_layer.limits import Reason
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, RefusedInputError
+from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.common.parameters import from_values
 from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
@@ -29,41 +33,42 @@ from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 TICK_NS = 10_000_000
 
 
-class Desk:
-    """Takes subscriptions, and the messages that a test hands in; has a clock of its own."""
+class Desk(WorkingNode):
+    """A node whose callbacks a test calls; has a clock of its own."""
 
     def __init__(self) -> None:
         self.callbacks: dict[str, Any] = {}
-        self.lines: list[str] = []
-        self.topic_name = ""
         self.now_ns = time.time_ns()
+        super().__init__("desk")
 
-    def create_subscription(self, _kind: type, topic: str, hear: Any, *_: Any, **__: Any) -> Any:
-        self.callbacks[topic] = hear
-        return self
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any
+    ) -> Any:
+        self.callbacks[topic] = callback
+        return super().create_subscription(msg_type, topic, callback, qos_profile, **options)
 
-    open_subscription = create_subscription
-
-    def create_service(self, _kind: type, name: str, answer: Any) -> None:
-        self.callbacks[name] = answer
+    def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
+        self.callbacks[srv_name] = callback
+        return super().create_service(srv_type, srv_name, callback, **options)
 
     def time_ns(self) -> int:
         return self.now_ns
 
-    is_simulated = False
-
-    def now_s(self) -> float:
-        return time.monotonic()
-
-    def get_logger(self) -> Any:
-        return self
-
-    def warning(self, line: str) -> None:
-        self.lines.append(line)
-
     def hand_in(self, topic: str, message: Any) -> None:
         self.now_ns += TICK_NS
         self.callbacks[topic](message)
+
+
+@pytest.fixture(autouse=True)
+def ros() -> Generator[None, None, None]:
+    rclpy.init()
+    yield
+    rclpy.shutdown()
+
+
+def first_warning(capfd: pytest.CaptureFixture[str]) -> str:
+    """Return what a node has logged first."""
+    return re.findall(r"\[WARN\] \[[\d.]+\] \[desk\]: (.*)", capfd.readouterr().err)[0]
 
 
 class Policy(Desk):
@@ -120,20 +125,24 @@ POSES = {
 
 @pytest.mark.fault("messages", "`tactile_policy` gets a pose that makes no sense")
 @pytest.mark.parametrize("what", POSES)
-def test_a_pose_that_is_refused_leaves_no_trace(policy: Policy, what: str, answered: Any) -> None:
+def test_a_pose_that_is_refused_leaves_no_trace(
+    policy: Policy, what: str, answered: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     count = policy.inputs.pose.count
     policy.hand_in("ee_pose", policy.pose(**POSES[what]))
     assert policy.known() == (0.3, 1.0)
     assert (policy.inputs.pose.count, policy.latched) == (count, [])
     assert policy.inputs.refused == 1
-    answered(policy.lines[0], what=f"`tactile_policy` gets a pose with {what}")
+    answered(first_warning(capfd), what=f"`tactile_policy` gets a pose with {what}")
 
 
 @pytest.mark.fault("messages", "`tactile_policy` gets 100 N with stamp zero")
-def test_a_force_that_is_refused_leaves_no_trace(policy: Policy, answered: Any) -> None:
+def test_a_force_that_is_refused_leaves_no_trace(
+    policy: Policy, answered: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     policy.hand_in("wrench", policy.wrench(100.0, stamp_ns=0))
     assert policy.known() == (0.3, 1.0)
-    answered(policy.lines[0])
+    answered(first_warning(capfd))
     policy.hand_in("wrench", policy.wrench(float("inf")))
     assert policy.known() == (0.3, 1.0)
     # A force that comes as it should counts, however large.
@@ -157,7 +166,9 @@ def test_forces_of_another_frame_are_latched(policy: Policy, answered: Any) -> N
 
 
 @pytest.mark.fault("messages", "a compressed image of 100 bytes announces 30000 x 30000 pixels")
-def test_an_image_that_would_unpack_to_gigabytes_is_not_fresh(answered: Any) -> None:
+def test_an_image_that_would_unpack_to_gigabytes_is_not_fresh(
+    answered: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     policy = Policy(image_transport="compressed")
     size = (30000).to_bytes(4, "big") * 2
     bomb = b"\x89PNG\r\n\x1a\n" + b"\0\0\0\x0dIHDR" + size + bytes(76)
@@ -166,7 +177,7 @@ def test_an_image_that_would_unpack_to_gigabytes_is_not_fresh(answered: Any) -> 
         policy.hand_in("image_raw/compressed", message)
     assert policy.inputs.image.count == 0
     assert policy.inputs.refused == 4
-    answered(policy.lines[0])
+    answered(first_warning(capfd))
     good = np.zeros((40, 60, 3), np.uint8)
     for compression in ("png", "jpeg"):
         message = msg_adapters.encode_compressed_image(
