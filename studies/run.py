@@ -32,6 +32,7 @@ from typing import Any
 
 from cyclopts import App, Parameter
 
+from dotsim_ros.io.extras import extra_needed
 from dotsim_ros.io.files import write_json
 from dotsim_ros.io.provenance import commit_of, provenance
 from studies.data import DATA
@@ -322,7 +323,8 @@ def main(arguments: Sequence[str]) -> int:
             print(f"{name}: {number} of {len(names)}, about {STUDIES[name].minutes} minutes")
         begun = time.monotonic()
         try:
-            is_well = run(name, words, json_directory=directory)
+            with extra_needed("it", "test"):
+                is_well = run(name, words, json_directory=directory)
         except (ValueError, OSError, FloatingPointError) as error:
             print(f"{name}: {error}", file=sys.stderr)
             is_well = False

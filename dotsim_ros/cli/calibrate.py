@@ -142,14 +142,11 @@ def run(
         )
     if guided is not None:
         from dotsim_ros.calibration.calibrate import report_folder
+        from dotsim_ros.io.extras import extra_needed
 
-        try:
+        with extra_needed("--guided", "learning"):
             from dotsim_ros.calibration.guided import report as guided_report
             from dotsim_ros.calibration.guided.fit import GuidedRequest, calibrate_guided
-        except ModuleNotFoundError as error:
-            raise ValueError(
-                f"--guided needs {error.name}, which is not installed; install dotsim_ros[learning]"
-            ) from error
         if ball_diameter_mm is None:
             raise ValueError("--guided needs the ball's diameter; give it with --ball-diameter-mm")
         pad = pad_size_mm

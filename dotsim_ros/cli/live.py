@@ -70,17 +70,14 @@ def run(
         rerun: with --attach: URL of a running viewer, or an .rrd file that is written at the end.
         ros_args: namespace and remaps for --attach; last.
     """
+    from dotsim_ros.io.extras import extra_needed
+
     if rerun is not None:
         if not attach:
             raise ValueError("--rerun shows the topics of a running node: give --attach with it")
         return _shown_in_rerun(rerun, ros_args)
-    try:
+    with extra_needed("the live page", "live"):
         import websockets  # noqa: F401
-    except ImportError as error:
-        raise ValueError(
-            "the live page needs the package websockets, which is not installed: "
-            "pip install 'dotsim_ros[live]'"
-        ) from error
     from dotsim_ros.live.desk import LiveDesk
     from dotsim_ros.live.server import PageServer
 

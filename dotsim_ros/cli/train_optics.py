@@ -74,12 +74,10 @@ def run(
         size: width of the network's images, in pixels.
         json: copy the figures to this file as well.
     """
-    try:
+    from dotsim_ros.io.extras import extra_needed
+
+    with extra_needed("training", "learning"):
         from dotsim_ros.learning.run import SENSOR, TrainOpticsRequest, train_optics
-    except ModuleNotFoundError as error:
-        raise ValueError(
-            f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
-        ) from error
     from dotsim_ros.data.data_set import read_data_set
     from dotsim_ros.data.split import split_of
     from dotsim_ros.io.files import write_json

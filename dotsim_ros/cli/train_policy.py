@@ -52,12 +52,10 @@ def run(
         seed: of the training.
         json: copy the report to this file as well.
     """
-    try:
+    from dotsim_ros.io.extras import extra_needed
+
+    with extra_needed("training", "learning"):
         from dotsim_ros.control.policy.training import PolicyRecipe, train_policy
-    except ModuleNotFoundError as error:
-        raise ValueError(
-            f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
-        ) from error
     from dotsim_ros.io.files import write_json
 
     report = train_policy(

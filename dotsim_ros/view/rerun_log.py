@@ -21,6 +21,7 @@ import numpy as np
 import msg_adapters
 from dotsim_ros.data.bag import BAG_TYPES
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.extras import extra_needed
 from dotsim_ros.io.files import whole_file
 from dotsim_ros.io.printable import placed
 from dotsim_ros.view.panels import AXIS_COLOURS, SKIN_COLOURS, PanelImages, coloured
@@ -43,13 +44,8 @@ def rerun_module() -> ModuleType:
     Raises:
         ValueError: it is not installed.
     """
-    try:
+    with extra_needed("--rerun", "rerun"):
         import rerun
-    except ImportError as error:
-        raise ValueError(
-            "--rerun needs the package rerun-sdk, which is not installed: "
-            "pip install 'dotsim_ros[rerun]'"
-        ) from error
     return rerun
 
 

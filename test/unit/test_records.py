@@ -197,6 +197,16 @@ def test_options_are_those_of_the_function(
     assert run.main(["fast", "--count", "2"]) == 0
 
 
+def test_a_study_says_what_brings_a_package_that_is_missing(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "studies.tumour.study", raising=False)
+    assert run.main(["tumour"]) == 1
+    asked = "tumour: it needs torch, which is not installed: pip install 'dotsim_ros[test]'"
+    assert asked in capfd.readouterr().err
+
+
 @pytest.mark.parametrize("called_by", ["real", "link"])
 def test_an_installed_command_goes_by_its_name(
     called_by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

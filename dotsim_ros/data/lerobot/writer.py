@@ -35,6 +35,7 @@ from dotsim_ros.data.lerobot.statistics import (
 )
 from dotsim_ros.data.lerobot.video import VideoFile
 from dotsim_ros.io.documents import read_json, value_text
+from dotsim_ros.io.extras import extra_needed
 from dotsim_ros.io.files import no_room_named, whole_file, write_json
 
 VERSION = "v3.0"
@@ -69,14 +70,9 @@ def check_installed() -> None:
     Raises:
         ValueError: one is not installed.
     """
-    for name in ("pyarrow", "av"):
-        try:
+    with extra_needed("the format of LeRobot", "dataset"):
+        for name in ("pyarrow", "av"):
             importlib.import_module(name)
-        except ImportError as error:
-            raise ValueError(
-                f"the format of LeRobot needs {name}, which is not installed: pip install "
-                "'dotsim_ros[dataset]'"
-            ) from error
 
 
 class LeRobotWriter:
