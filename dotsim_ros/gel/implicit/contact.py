@@ -192,10 +192,10 @@ class Contact:
                 array.assign(host[name])
         if pose is not self._pose:
             k = self.kernels
-            rotation, origin = pose.rotation().ravel().tolist(), pose.position_m.tolist()
+            self._indenter.rotation = k.mat33(*pose.rotation().ravel().tolist())
+            self._indenter.origin = k.vec3(*pose.position_m.tolist())
             for recorded in (self._lagged, self._coulomb):
-                recorded.set_param_by_name("rotation", k.mat33(*rotation))
-                recorded.set_param_by_name("origin", k.vec3(*origin))
+                recorded.set_param_by_name("indenter", self._indenter)
             self._pose = pose
         launch.set_dim(count)
         launch.launch()
@@ -232,20 +232,24 @@ class Contact:
             else (lambda: [output.numpy() for output in self._outputs])
         )
         candidate, position, pressure, normal, start, slip = self._device_inputs.values()
-        first = [candidate, position, self.area, self.field, k.mat33(), k.vec3(), self.law]
+        markers = _filled(k.Markers, candidate, position, self.area, start, slip)
+        self._indenter = _filled(k.PlacedIndenter, self.field, k.mat33(), k.vec3())
+        response = _filled(k.Response, *self._outputs)
 
-        def record(kernel: Any, inputs: list[Any]) -> Any:
-            return wp.launch(
-                kernel,
-                dim=count,
-                inputs=[*first, *inputs],
-                outputs=self._outputs,
-                device=device,
-                record_cmd=True,
-            )
+        def record(kernel: Any, *lag: Any) -> Any:
+            inputs = [markers, self._indenter, self.law, *lag, response]
+            return wp.launch(kernel, dim=count, inputs=inputs, device=device, record_cmd=True)
 
-        self._lagged = record(k.contact_response, [pressure, normal, start, slip])
-        self._coulomb = record(k.coulomb_response, [start, slip])
+        self._lagged = record(k.contact_response, pressure, normal)
+        self._coulomb = record(k.coulomb_response)
+
+
+def _filled(kind: Any, *values: Any) -> Any:
+    """Return a struct of kernels with values in the order of its fields."""
+    made = kind()
+    for name, value in zip(kind.vars, values, strict=True):
+        setattr(made, name, value)
+    return made
 
 
 def wrench_on_indenter(position_m: FloatArray, force_on_marker_n: FloatArray) -> Wrench:

@@ -35,6 +35,38 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         onset: scalar
         smoothing: scalar
 
+    @wp.struct
+    class Markers:
+        """Candidates and their positions, in their order; area, and position and slip at the start
+        of the step in the indenter's frame, of all markers."""
+
+        candidate: wp.array(dtype=wp.int32)
+        position: wp.array(dtype=vec3)
+        area: wp.array(dtype=scalar)
+        start_position: wp.array(dtype=vec3)
+        start_slip: wp.array(dtype=vec3)
+
+    @wp.struct
+    class PlacedIndenter:
+        """A shape, and its pose in the base frame."""
+
+        field: field_type
+        rotation: mat33
+        origin: vec3
+
+    @wp.struct
+    class Response:
+        """Of the candidates, as `contact.ContactResponse`."""
+
+        distance: wp.array(dtype=scalar)
+        pressure: wp.array(dtype=scalar)
+        force: wp.array(dtype=vec3)
+        energy: wp.array(dtype=scalar)
+        stiffness: wp.array(dtype=mat33)
+        local_position: wp.array(dtype=vec3)
+        slip: wp.array(dtype=vec3)
+        normal: wp.array(dtype=vec3)
+
     @wp.func
     def pressure_energy(law: ContactLaw, depth: scalar):
         w = law.smoothing
@@ -62,43 +94,28 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
 
     @wp.kernel(module="unique")
     def contact_response(
-        candidate: wp.array(dtype=wp.int32),
-        position: wp.array(dtype=vec3),
-        area: wp.array(dtype=scalar),
-        field: field_type,
-        rotation: mat33,
-        origin: vec3,
+        markers: Markers,
+        indenter: PlacedIndenter,
         law: ContactLaw,
         lagged_pressure: wp.array(dtype=scalar),
         lagged_normal: wp.array(dtype=vec3),
-        start_position: wp.array(dtype=vec3),
-        start_slip: wp.array(dtype=vec3),
-        distance: wp.array(dtype=scalar),
-        new_pressure: wp.array(dtype=scalar),
-        force: wp.array(dtype=vec3),
-        energy: wp.array(dtype=scalar),
-        stiffness: wp.array(dtype=mat33),
-        local_position: wp.array(dtype=vec3),
-        slip: wp.array(dtype=vec3),
-        normal: wp.array(dtype=vec3),
+        response: Response,
     ):
         """Distance, pressure, force on the marker, energy and positive part of the stiffness of
-        the listed markers; positions of the candidates in their order, histories of all markers.
-
-        Histories are kept in the indenter's frame: where a marker was at the start of the step,
-        and its elastic slip. Friction lies in the plane of the lagged normal (zero: the present
+        the candidates. Friction lies in the plane of the lagged normal (zero: the present
         one), its limit is mu times the lagged pressure.
         """
         i = wp.tid()
-        m = candidate[i]
-        y = wp.transpose(rotation) * (position[i] - origin)
-        d, n, _curvature = indenter_distance(field, y)
+        m = markers.candidate[i]
+        rotation = indenter.rotation
+        y = wp.transpose(rotation) * (markers.position[i] - indenter.origin)
+        d, n, _curvature = indenter_distance(indenter.field, y)
         depth = law.onset - d
         p = pressure(law, depth)
-        a = area[m]
-        distance[i] = d
-        new_pressure[i] = p
-        local_position[i] = y
+        a = markers.area[m]
+        response.distance[i] = d
+        response.pressure[i] = p
+        response.local_position[i] = y
         f = (a * p) * n
         psi = a * pressure_energy(law, depth)
         h = (a * pressure_slope(law, depth)) * wp.outer(n, n)
@@ -110,7 +127,7 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
             # The gradient of a mesh's distance, interpolated on a grid, is not of unit length.
             m0 = wp.normalize(m0)
             projector = wp.identity(3, dtype=scalar) - wp.outer(m0, m0)
-            s = projector * (start_slip[m] + y - start_position[m])
+            s = projector * (markers.start_slip[m] + y - markers.start_position[m])
             length = wp.length(s)
             limit = law.friction * lagged_pressure[i] / law.tangential_stiffness
             if length <= limit:
@@ -125,38 +142,26 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
                 psi += force_limit * (length - scalar(0.5) * limit)
                 h += (force_limit / length) * (projector - wp.outer(direction, direction))
                 tangent_slip = limit * direction
-        slip[i] = tangent_slip
-        normal[i] = rotation * n
-        force[i] = rotation * f
-        energy[i] = psi
-        stiffness[i] = rotation * h * wp.transpose(rotation)
+        response.slip[i] = tangent_slip
+        response.normal[i] = rotation * n
+        response.force[i] = rotation * f
+        response.energy[i] = psi
+        response.stiffness[i] = rotation * h * wp.transpose(rotation)
 
     @wp.kernel(module="unique")
     def coulomb_response(
-        candidate: wp.array(dtype=wp.int32),
-        position: wp.array(dtype=vec3),
-        area: wp.array(dtype=scalar),
-        field: field_type,
-        rotation: mat33,
-        origin: vec3,
+        markers: Markers,
+        indenter: PlacedIndenter,
         law: ContactLaw,
-        start_position: wp.array(dtype=vec3),
-        start_slip: wp.array(dtype=vec3),
-        distance: wp.array(dtype=scalar),
-        new_pressure: wp.array(dtype=scalar),
-        force: wp.array(dtype=vec3),
-        energy: wp.array(dtype=scalar),
-        stiffness: wp.array(dtype=mat33),
-        local_position: wp.array(dtype=vec3),
-        slip: wp.array(dtype=vec3),
-        normal: wp.array(dtype=vec3),
+        response: Response,
     ):
         """As `contact_response`, with friction in the plane of the present normal and limited by
         the present pressure, and with all of the stiffness, which is not symmetric."""
         i = wp.tid()
-        m = candidate[i]
-        y = wp.transpose(rotation) * (position[i] - origin)
-        d, n, curvature = indenter_distance(field, y)
+        m = markers.candidate[i]
+        rotation = indenter.rotation
+        y = wp.transpose(rotation) * (markers.position[i] - indenter.origin)
+        d, n, curvature = indenter_distance(indenter.field, y)
         depth = law.onset - d
         p = pressure(law, depth)
         slope = pressure_slope(law, depth)
@@ -170,7 +175,7 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
             unit = wp.normalize(n)
             projector = wp.identity(3, dtype=scalar) - wp.outer(unit, unit)
             turn = (projector * curvature) / wp.length(n)
-            moved = start_slip[m] + y - start_position[m]
+            moved = markers.start_slip[m] + y - markers.start_position[m]
             s = projector * moved
             by_position = projector - wp.outer(unit, wp.transpose(turn) * moved)
             by_position -= wp.dot(unit, moved) * turn
@@ -189,21 +194,24 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
                 h += (k * limit / length) * (turning * by_position)
                 h -= (law.friction * slope) * wp.outer(direction, n)
                 tangent_slip = limit * direction
-        a = area[m]
-        distance[i] = d
-        new_pressure[i] = p
-        local_position[i] = y
-        slip[i] = tangent_slip
-        normal[i] = rotation * n
-        force[i] = a * (rotation * f)
-        energy[i] = a * psi
-        stiffness[i] = a * (rotation * h * wp.transpose(rotation))
+        a = markers.area[m]
+        response.distance[i] = d
+        response.pressure[i] = p
+        response.local_position[i] = y
+        response.slip[i] = tangent_slip
+        response.normal[i] = rotation * n
+        response.force[i] = a * (rotation * f)
+        response.energy[i] = a * psi
+        response.stiffness[i] = a * (rotation * h * wp.transpose(rotation))
 
     return SimpleNamespace(
         scalar=scalar,
         vec3=vec3,
         mat33=mat33,
         ContactLaw=ContactLaw,
+        Markers=Markers,
+        PlacedIndenter=PlacedIndenter,
+        Response=Response,
         contact_response=contact_response,
         coulomb_response=coulomb_response,
         pressure=pressure,
