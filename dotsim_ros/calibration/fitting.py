@@ -28,10 +28,9 @@ from dotsim_ros.calibration.loss import (
 from dotsim_ros.calibration.parameters import coordinate_bounds, coordinates, with_coordinates
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.reading import Observation
-from dotsim_ros.gel.values import GelValues
+from dotsim_ros.gel.values import GelParameter, GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.specification import GelParameter
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 

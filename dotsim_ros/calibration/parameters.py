@@ -6,7 +6,7 @@
 Fits work in coordinates in which the response is close to linear: the logarithm of a stiffness, of
 friction and of 1/2 - nu (compliance is smooth in it up to incompressibility); ratios and lengths as
 they are. A prior is a normal distribution of the coordinate around the value that the sensor's
-file has. `dotsim_ros.specification.GelValues` declares each of them.
+file has. `dotsim_ros.gel.values.GelValues` declares each of them.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.gel.material import bulk_modulus_pa
-from dotsim_ros.gel.values import GelValues
+from dotsim_ros.gel.values import GEL_PARAMETERS, GelParameter, GelValues
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.specification import GEL_PARAMETERS, GelParameter
 
 BULK_MODULUS = "bulk_modulus"
 PARAMETERS = {

@@ -18,6 +18,7 @@ from dotsim_ros.calibration.loss import FORCE, SKIN
 from dotsim_ros.calibration.parameters import shown_value, with_coordinates
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import CHANNEL_SETS, Combination, Identifiability
+from dotsim_ros.gel.values import GelParameter
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.files import whole_file, write_json
 from dotsim_ros.io.page import (
@@ -35,7 +36,6 @@ from dotsim_ros.io.page import (
 )
 from dotsim_ros.io.printable import figure_label, one_line, printable
 from dotsim_ros.io.provenance import provenance
-from dotsim_ros.specification import GelParameter
 from dotsim_ros.twin.press_metrics import by_indenter, summarize
 
 ONE_PRESS = (

@@ -15,7 +15,6 @@ from dotsim_ros.specification.files import (
     sensor_path,
     write_sensor,
 )
-from dotsim_ros.specification.gel_parameters import GEL_PARAMETERS, GelParameter, GelValues
 from dotsim_ros.specification.sections import (
     LARGEST_LENGTH_M,
     CameraSpecification,
@@ -38,15 +37,12 @@ from dotsim_ros.specification.sensor import (
 )
 
 __all__ = [
-    "GEL_PARAMETERS",
     "LARGEST_LENGTH_M",
     "LARGEST_MEMORY_BYTES",
     "SECTIONS",
     "CameraSpecification",
     "ContactSpecification",
-    "GelParameter",
     "GelSpecification",
-    "GelValues",
     "LightingSpecification",
     "MarkerSpecification",
     "MaterialSpecification",

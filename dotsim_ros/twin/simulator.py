@@ -28,12 +28,12 @@ from dotsim_ros.gel.implicit.tangent import inverse_at_rest
 from dotsim_ros.gel.make import body_of, bond_of, material_of, skin_of
 from dotsim_ros.gel.material import NeoHookean, PronySeries
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
-from dotsim_ros.gel.values import GelValues, specification_with, values_of
+from dotsim_ros.gel.values import GEL_PARAMETERS, GelValues, specification_with, values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, quaternion_product
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import Float32Array, FloatArray
-from dotsim_ros.specification import GEL_PARAMETERS, SensorSpecification
+from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, follow
 
 REFERENCE_MODULUS_PA = 3.0e5

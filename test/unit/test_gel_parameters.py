@@ -15,9 +15,9 @@ from dotsim_ros.calibration.parameters import PARAMETERS, coordinates, with_coor
 from dotsim_ros.effects.effect import Active, GelTerm, gel_with
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, GEL_CONSTANTS
-from dotsim_ros.gel.values import GelValues, specification_with, values_of
+from dotsim_ros.gel.values import GEL_PARAMETERS, GelValues, specification_with, values_of
 from dotsim_ros.io.quantity import quantities_of
-from dotsim_ros.specification import GEL_PARAMETERS, SensorSpecification, load_sensor
+from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.simulator import gel_key
 
 SENSOR = load_sensor("densetact2")

@@ -23,7 +23,7 @@ from dotsim_ros.effects.effect import (
     with_gel,
 )
 from dotsim_ros.effects.excitation import rests_after_contact, strains, touches, unloads
-from dotsim_ros.specification import GEL_PARAMETERS
+from dotsim_ros.gel.values import GEL_PARAMETERS
 
 C20, POISSON_RATIO = GEL_PARAMETERS["c20_ratio"], GEL_PARAMETERS["poisson_ratio"]
 

@@ -28,7 +28,7 @@ from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.make import GelFrame, body_of, skin_of
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.rest_depth import RestDepth
-from dotsim_ros.gel.values import GelValues, values_of
+from dotsim_ros.gel.values import GEL_PARAMETERS, GelValues, values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
@@ -37,7 +37,6 @@ from dotsim_ros.learning.touches.plan import GRASP, TouchPlan
 from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.picture import change_image
 from dotsim_ros.sensor import Frame, TactileSensor
-from dotsim_ros.specification import GEL_PARAMETERS
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator, raised_m
 

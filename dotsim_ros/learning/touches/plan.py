@@ -14,12 +14,12 @@ import numpy as np
 
 from dotsim_ros.data.data_set import indenter_files
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.gel.values import values_of
+from dotsim_ros.gel.values import GEL_PARAMETERS, values_of
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.io.documents import is_number, read_yaml, value_text
 from dotsim_ros.io.files import expanded, parameter_path
 from dotsim_ros.io.printable import did_you_mean
-from dotsim_ros.specification import GEL_PARAMETERS, SensorSpecification, load_sensor
+from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.simulator import check_is_quasi_static
 
 VERSION = 1
