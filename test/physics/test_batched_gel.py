@@ -239,6 +239,9 @@ def test_what_a_batch_cannot_take_is_refused(indenters):
         BatchedGel(SENSOR, indenters[:2], 3)
     with pytest.raises(ValueError, match=r"friction has the shape \(2,\), expected \(3,\)"):
         BatchedGel(SENSOR, indenters[0], 3, friction=np.zeros(2))
+    for name in ("friction", "modulus_factor"):
+        with pytest.raises(ValueError, match=rf"{name} holds nan, expected finite numbers"):
+            BatchedGel(SENSOR, indenters[0], 1, **{name: [np.nan]})
     slow = replace(SENSOR, solver=replace(SENSOR.solver, dynamic=True))
     with pytest.raises(ValueError, match="no inertia"):
         BatchedGel(slow, indenters[0], 1)

@@ -155,7 +155,8 @@ class BatchedGel:
         field: Warp array (B,) of the indenters as kernels know them, `IndenterField`.
 
     Raises:
-        ValueError: an argument of another length than B, or a gel with inertia.
+        ValueError: an argument of another length than B or that is not finite or below 0, or a gel
+            with inertia.
     """
 
     def __init__(
@@ -660,11 +661,13 @@ def _each(values: FloatArray | None, default: float, count: int, name: str) -> F
     """Return one value for each gel.
 
     Raises:
-        ValueError: another number of them.
+        ValueError: another number of them, or one that is not finite or below 0.
     """
     result = np.full(count, default) if values is None else np.asarray(values, dtype=float)
     if result.shape != (count,):
         raise ValueError(f"{name} has the shape {result.shape}, expected ({count},)")
+    if len(bad := result[~(np.isfinite(result) & (result >= 0.0))]):
+        raise ValueError(f"{name} holds {bad[0]}, expected finite numbers of 0 or more")
     return result
 
 
