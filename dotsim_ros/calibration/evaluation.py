@@ -33,6 +33,7 @@ from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
 from dotsim_ros.gel.make import body_of, skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.mesh_distance import surface_distance
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.io.arrays import FloatArray, ImageArray
@@ -63,7 +64,7 @@ from dotsim_ros.twin.footage import SkinFollower, camera_for, twin_renderers
 from dotsim_ros.twin.image_metrics import image_psnr_db
 from dotsim_ros.twin.press_metrics import JUDGED_DEPTH_M, judged_frames, root_mean_square
 from dotsim_ros.twin.simulator import raised_m
-from dotsim_ros.twin.surface_metrics import relative_rms, surface_distance, weighted_rms
+from dotsim_ros.twin.surface_metrics import relative_rms, weighted_rms
 
 ERRORS = "errors.json"
 CHANNELS = ("skin", "force", "image")

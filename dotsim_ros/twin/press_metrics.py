@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.mesh_distance import surface_distance
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m, vertex_normals
 from dotsim_ros.io.arrays import BoolArray, FloatArray
@@ -23,7 +24,6 @@ from dotsim_ros.twin.surface_metrics import (
     cloud_distances,
     relative_rms,
     sample_surface,
-    surface_distance,
     weighted_rms,
 )
 

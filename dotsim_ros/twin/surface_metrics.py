@@ -7,9 +7,6 @@ Four metrics compare samples, as is usual for point clouds: two samples of one s
 well, by the floor that `cloud_distances` of the surface against itself shows. The others need none.
 """
 
-# Warp reads kernels' annotations by its own rules, which are none of a type checker's.
-# mypy: disable-error-code="no-untyped-def, valid-type, attr-defined, var-annotated"
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -21,14 +18,10 @@ from scipy.spatial.distance import cdist
 
 from dotsim_ros.geometry.skin_mesh import face_vectors
 from dotsim_ros.io.arrays import FloatArray, IndexArray
-from dotsim_ros.io.warp_runtime import wp
 
 SAMPLE_COUNT = 2048
 SIGNIFICANT_SHARE = 0.01
 F_SCORE_THRESHOLD_M = 1.0e-3
-
-# Metre coordinates have squared areas near the tolerances of float32 geometry.
-_MILLIMETRES_PER_METRE = 1000.0
 
 
 @dataclass(frozen=True)
@@ -103,47 +96,6 @@ def earth_mover_distance(first_m: FloatArray, second_m: FloatArray) -> float:
     """
     distance = cdist(first_m, second_m)
     return float(distance[linear_sum_assignment(distance)].mean())
-
-
-@wp.kernel
-def _surface_distance(
-    mesh: wp.uint64,
-    points: wp.array(dtype=wp.vec3),
-    farthest: float,
-    distance: wp.array(dtype=float),
-):
-    i = wp.tid()
-    query = wp.mesh_query_point_no_sign(mesh, points[i], farthest)
-    if query.result:
-        nearest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
-        distance[i] = wp.length(points[i] - nearest)
-    else:
-        distance[i] = farthest
-
-
-def surface_distance(
-    points_m: FloatArray, position_m: FloatArray, triangles: IndexArray
-) -> FloatArray:
-    """Return the distance (N,) of points to the nearest point of a triangle surface, exact to some
-    nanometres."""
-    mesh = wp.Mesh(
-        points=wp.array(
-            (position_m * _MILLIMETRES_PER_METRE).astype(np.float32), dtype=wp.vec3, device="cpu"
-        ),
-        indices=wp.array(triangles.reshape(-1).astype(np.int32), dtype=wp.int32, device="cpu"),
-    )
-    points = wp.array(
-        (points_m * _MILLIMETRES_PER_METRE).astype(np.float32), dtype=wp.vec3, device="cpu"
-    )
-    distance = wp.empty(len(points_m), dtype=float, device="cpu")
-    wp.launch(
-        _surface_distance,
-        dim=len(points_m),
-        inputs=[mesh.id, points, 1.0e6],
-        outputs=[distance],
-        device="cpu",
-    )
-    return distance.numpy().astype(np.float64) / _MILLIMETRES_PER_METRE
 
 
 def weighted_rms(values: FloatArray, weight: FloatArray) -> float:

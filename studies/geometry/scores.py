@@ -13,6 +13,7 @@ import numpy as np
 
 from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.mesh_distance import surface_distance
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.twin.press_metrics import (
     JUDGED_DEPTH_M,
@@ -21,7 +22,7 @@ from dotsim_ros.twin.press_metrics import (
     root_mean_square,
     score_press,
 )
-from dotsim_ros.twin.surface_metrics import surface_distance, weighted_rms
+from dotsim_ros.twin.surface_metrics import weighted_rms
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from dotsim_ros.geometry.mesh_distance import surface_distance
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
 from dotsim_ros.twin.surface_metrics import (
     SAMPLE_COUNT,
@@ -19,7 +20,6 @@ from dotsim_ros.twin.surface_metrics import (
     earth_mover_distance,
     relative_rms,
     sample_surface,
-    surface_distance,
     weighted_rms,
 )
 
