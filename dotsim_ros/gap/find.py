@@ -123,8 +123,8 @@ def find_gap(
         request = replace(request, directory=Path(temporary if out is None else out) / "run")
         try:
             data_set = read_data_set(request.measured)
-            reference = None if request.reference is None else read_data_set(request.reference)
-            request = replace(request, measured=data_set, reference=reference)
+            before = None if request.reference is None else read_data_set(request.reference)
+            request = replace(request, measured=data_set, reference=before)
             if channels is None:
                 request = replace(request, channels=channels_of(data_set))
             if out is not None:
