@@ -88,6 +88,13 @@ def test_a_descent_comes_closer_to_the_true_stiffness() -> None:
     assert abs(youngs_pa[-2] - youngs_pa[-1]) < abs(youngs_pa[0] - youngs_pa[-1])
 
 
+def test_derivatives_find_the_push_that_turns_a_box() -> None:
+    printed = run("turn_by_gradient.py", 4)
+    force_n, angle_deg = re.findall(r"box: (\S+) N, the box turns by (\S+) degrees", printed)[-1]
+    assert float(force_n) == pytest.approx(2.0, abs=0.01)
+    assert float(angle_deg) == pytest.approx(10.0, abs=0.05)
+
+
 def test_an_arm_in_mujoco_holds_what_the_gel_pushes_back(tmp_path: Path) -> None:
     run("mujoco_peg.py", tmp_path)
     _, force, torque, held = np.split(
