@@ -60,6 +60,9 @@ def pytest_configure(config: pytest.Config) -> None:
     in the background ignores it, and so would all that it starts."""
     # A test that keeps its tables elsewhere need not compile all kernels again.
     os.environ.setdefault("WARP_CACHE_PATH", str(cache_directory() / "warp"))
+    # Some hundred processes import the same: a second each where no bytecode is kept.
+    if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+        os.environ.setdefault("PYTHONPYCACHEPREFIX", str(cache_directory() / "bytecode"))
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "fault(area, what): shows the answer to a fault")
