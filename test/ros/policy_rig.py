@@ -6,6 +6,7 @@ network. The streams can be cut and spoilt."""
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import os
 import time
@@ -24,11 +25,21 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
+from dotsim_ros.control.policy.images import CHANNEL_COUNT, fingerprint
+from dotsim_ros.control.policy.network import FORMAT, INPUT, USUAL_MEAN, USUAL_ROOT, PolicyCard
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
+from dotsim_ros.optics.network.carded_weights import (
+    CARD,
+    GRAPH,
+    WEIGHTS,
+    weights_hash,
+    write_weights,
+)
 
 MODULE = "dotsim_ros.nodes.tactile_policy.node"
 HEIGHT, WIDTH = 120, 160
+SIDE_PX = 48
 FOLLOWED = (0.004, 0.0, 0.001, 0.0, 0.0, 0.02)
 """What the network commands, but for 1e-5 of it."""
 DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -51,33 +62,34 @@ def with_white_spot(crop: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return spoilt
 
 
+GRAPH_TEXT = f"""
+<ir_version: 9, opset_import: ["" : 18]>
+steady (float[1, {CHANNEL_COUNT}, {SIDE_PX}, {SIDE_PX}] {INPUT}) => (float[1, 1, 6] commands)
+<float[1, 1, 6] followed = {{{", ".join(map(str, FOLLOWED))}}}, float limit = {{3.5}},
+ float little = {{1e-5}}, int64[1] first = {{0}}, int64[1] end = {{3}}, int64[1] channels = {{1}}>
+{{
+  change = Slice({INPUT}, first, end, channels)
+  brightest = ReduceMax <keepdims = 0> (change)
+  room = Sub(limit, brightest)
+  root = Sqrt(room)
+  mean = ReduceMean <keepdims = 0> ({INPUT})
+  bent = Tanh(mean)
+  product = Mul(bent, root)
+  small = Mul(little, product)
+  commands = Add(followed, small)
+}}
+"""
+"""The root of what is left below a limit is a NaN where a spot is white."""
+
+
 def write_network(folder: Path) -> Path:
-    """Write a small real policy whose output is `FOLLOWED`, or NaN where a spot is white."""
-    for name in ("torch", "onnxscript"):
-        pytest.importorskip(name, reason="writes a network: pip install '.[learning]'")
-    import torch
-    from torch import Tensor, nn
-
-    from dotsim_ros.control.policy.images import CHANNEL_COUNT, fingerprint
-    from dotsim_ros.control.policy.network import FORMAT, PolicyCard
-    from dotsim_ros.control.policy.resnet import save_policy
-
-    class Steady(nn.Module):
-        def __init__(self) -> None:
-            super().__init__()
-            self.features = nn.Conv2d(CHANNEL_COUNT, 8, 3, stride=2)
-            self.commands = nn.Linear(8, 6)
-            self.followed = nn.Parameter(torch.tensor(FOLLOWED))
-
-        def forward(self, crop: Tensor) -> Tensor:
-            features = torch.tanh(self.features(crop)).mean(dim=(2, 3))
-            brightest = crop[:, :3].amax(dim=(1, 2, 3))
-            small = 1e-5 * torch.tanh(self.commands(features)) * torch.sqrt(3.5 - brightest)
-            return (self.followed + small)[:, None]
-
-    torch.manual_seed(1)
+    """Write a small policy whose output is `FOLLOWED`, or NaN where a spot is white; its graph is
+    written down: what exports one takes ten seconds."""
+    parser = pytest.importorskip("onnx.parser", reason="writes a network: '.[learning]'")
+    graph = parser.parse_model(GRAPH_TEXT).SerializeToString(deterministic=True)
     idle = idle_crop()
-    usual_mean = fingerprint(idle, idle)
+    mean = fingerprint(idle, idle)
+    usual = {USUAL_MEAN: mean, USUAL_ROOT: np.eye(mean.size, dtype=np.float32)}
     card = PolicyCard(
         version=FORMAT,
         name="steady",
@@ -88,16 +100,15 @@ def write_network(folder: Path) -> Path:
         image_height=HEIGHT,
         image_width=WIDTH,
         share=0.7,
-        side_px=48,
+        side_px=SIDE_PX,
         largest_distance=3.0,
+        weights_sha256=weights_hash(usual),
+        graph_sha256=hashlib.sha256(graph).hexdigest(),
     )
-    save_policy(
-        folder,
-        Steady().eval(),
-        card,
-        usual_mean=usual_mean,
-        usual_root=np.eye(usual_mean.size, dtype=np.float32),
-    )
+    folder.mkdir(parents=True)
+    (folder / GRAPH).write_bytes(graph)
+    (folder / CARD).write_text(card.text() + "\n")
+    write_weights(folder / WEIGHTS, usual, card)
     return folder
 
 
@@ -253,12 +264,6 @@ class Rig(Watcher):
             return newest if is_wanted else None
 
         return self.wait(found, f"the state {state} for {reason}")
-
-    def _on_command(self, message: TwistStamped) -> None:
-        twist = np.concatenate(msg_adapters.decode_twist_stamped(message))
-        stamp_s = 1e-9 * msg_adapters.message_stamp_ns(message)
-        with self._lock:
-            self.commands.append(Command(stamp_s, message.header.frame_id, twist))
 
     def start(self) -> None:
         """Mend everything, enable, and wait until the arm moves."""
