@@ -302,12 +302,22 @@ class TactileFrame:
             return None
         return msg_adapters.decode_pose_stamped(self.messages[STATE_TOPIC])[0].tolist()
 
+    def differing(self, other: TactileFrame) -> list[str]:
+        """Return the topics of which a number differs, stamps aside."""
+        return [
+            topic
+            for topic in FRAME_TOPICS
+            if _content(self.messages[topic]) != _content(other.messages[topic])
+        ]
+
     def is_same(self, other: TactileFrame) -> bool:
         """Whether every number of the two frames is the same, stamps aside."""
-        return all(
-            _content(self.messages[topic]) == _content(other.messages[topic])
-            for topic in FRAME_TOPICS
-        )
+        return not self.differing(other)
+
+
+def assert_same(frames: Sequence[TactileFrame], reference: Sequence[TactileFrame]) -> None:
+    """Assert that frames are the same to the bit; a failure names the topics that are not."""
+    assert [a.differing(b) for a, b in zip(frames, reference, strict=True)] == [[]] * len(reference)
 
 
 def _content(message: Any) -> list[Any]:

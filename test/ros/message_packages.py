@@ -11,18 +11,23 @@ comments nor defaults. Run as a program it builds a package into a folder.
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from dotsim_ros.io.files import cache_directory
 
 
 @dataclass(frozen=True)
@@ -121,15 +126,23 @@ def missing() -> str:
 
 
 @contextmanager
-def importable(package: str, folder: Path) -> Iterator[Path]:
-    """Put a package on the paths of this process and of those that it starts, built into a folder
-    unless ROS has it; give the folder, and skip the test where it cannot be built."""
+def importable(package: str) -> Iterator[Path]:
+    """Put a package on the paths of this process and of those that it starts, built unless ROS has
+    it; give the folder of the build, and skip the test where it cannot be built."""
+    folder = kept_folder(package)
     if importlib.util.find_spec(package) is not None:
         yield folder
         return
     if lacking := missing():
         pytest.skip(f"{package} cannot be built here: {lacking} is missing")
-    built = str(build(package, folder))
+    if not folder.is_dir():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent) as draft:
+            build(package, Path(draft) / package)
+            with suppress(OSError):
+                # Another process may have been first.
+                (Path(draft) / package).rename(folder)
+    built = str(folder / "python")
     before = os.environ.get("PYTHONPATH", "")
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [built, before]))
     sys.path.insert(0, built)
@@ -138,8 +151,17 @@ def importable(package: str, folder: Path) -> Iterator[Path]:
     os.environ["PYTHONPATH"] = before
 
 
-def build(package: str, folder: Path) -> Path:
-    """Build a package in a process of its own; return the folder to import it from.
+def kept_folder(package: str) -> Path:
+    """Return where a build is kept: by what it is made of and by."""
+    made_by = [Path(__file__).read_text(encoding="utf-8"), sys.version, np.__version__]
+    found = filter(None, map(importlib.util.find_spec, GENERATORS))
+    made_by += [f"{spec.origin} {Path(spec.origin or '').stat().st_mtime_ns}" for spec in found]
+    digest = hashlib.sha256("\0".join(made_by).encode()).hexdigest()[:16]
+    return cache_directory() / "test_messages" / f"{package}-{digest}"
+
+
+def build(package: str, folder: Path) -> None:
+    """Build a package in a process of its own.
 
     Raises:
         RuntimeError: the build failed; with what it said.
@@ -156,7 +178,6 @@ def build(package: str, folder: Path) -> Path:
     )
     if done.returncode:
         raise RuntimeError(f"{package} cannot be built:\n{done.stdout}\n{done.stderr}")
-    return folder / "python"
 
 
 def _generate(package: str, folder: Path) -> None:
@@ -215,7 +236,6 @@ def _compiled(folder: Path, part: str, includes: list[str]) -> list[str]:
 
 def _compile(package: str, folder: Path) -> None:
     """Make the extension that Python imports and the two libraries that type support opens."""
-    import numpy
     from ament_index_python.packages import get_package_prefix
 
     dependencies = PACKAGES[package].dependencies
@@ -223,7 +243,7 @@ def _compile(package: str, folder: Path) -> None:
     roots = [Path(prefix) / "include" for prefix in prefixes]
     folders = [folder / "c", folder / "introspection", *roots]
     folders += [each for root in roots for each in sorted(root.iterdir()) if each.is_dir()]
-    folders += [Path(numpy.get_include()), Path(sysconfig.get_path("include"))]
+    folders += [Path(np.get_include()), Path(sysconfig.get_path("include"))]
     includes = [f"-I{each}" for each in folders]
     libraries = [f"-L{Path(prefix) / 'lib'}" for prefix in prefixes]
     libraries += [f"-l{name}" for name in LIBRARIES]

@@ -57,7 +57,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     """A client of a sensor, both with TF."""
     folder = tmp_path_factory.mktemp("tf")
     forget("tf2_msgs")
-    with importable("tf2_msgs", folder / "tf2_msgs"), pytest.MonkeyPatch.context() as patch:
+    with importable("tf2_msgs"), pytest.MonkeyPatch.context() as patch:
         if importlib.util.find_spec("tf2_ros") is None:
             (folder / "tf2_ros.py").write_text(TF2_ROS)
             patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)

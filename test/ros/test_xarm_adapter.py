@@ -59,9 +59,9 @@ POSE_MM_RAD = [350.0, -20.0, 300.0, 3.0, 0.2, -1.1]
 
 
 @pytest.fixture(scope="session")
-def xarm_package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def xarm_package() -> Iterator[Path]:
     """Return the folder that xarm_msgs is built in."""
-    with importable("xarm_msgs", tmp_path_factory.mktemp("xarm_msgs")) as folder:
+    with importable("xarm_msgs") as folder:
         yield folder
 
 
