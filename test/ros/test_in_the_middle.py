@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import APEX_M, PATIENCE_S, Client, TactileFrame, running, sensor
+from harness import APEX_M, PATIENCE_S, Client, Executable, TactileFrame, running, sensor
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, PointCloud2
@@ -39,6 +39,7 @@ class Written:
 class Scene:
     """A node whose images take long, and what a client has read of two of its topics."""
 
+    node: Executable
     client: Client
     points: list[Written]
     compressed: list[Written]
@@ -53,8 +54,8 @@ class Scene:
 @pytest.fixture(scope="module")
 def scene() -> Iterator[Scene]:
     parameters = {"compression": "png", "image_size_px": [1200, 900], "grid_spacing_m": 0.0048}
-    with sensor(diagnostics_period_s=0.1, **parameters) as (_, client):
-        found = Scene(client, [], [])
+    with sensor(diagnostics_period_s=0.1, **parameters) as (node, client):
+        found = Scene(node, client, [], [])
         for kind, topic, entries in (
             (CompressedImage, "image_raw/compressed", found.compressed),
             (PointCloud2, "points", found.points),
@@ -164,11 +165,11 @@ def test_an_image_that_takes_longer_than_a_frame_drops_frames_and_counts_them(
     assert int(after["frames"]) > int(before["frames"])
 
 
-def test_two_signals_in_the_middle_of_a_slide_end_it_with_status_0() -> None:
-    with sensor(grid_spacing_m=0.0048) as (node, client):
-        start_sliding(client)
-        assert node.interrupt(2) == 0, node.log
-        assert "Traceback" not in node.log
+def test_two_signals_in_the_middle_of_a_slide_end_it_with_status_0(scene: Scene) -> None:
+    # The last test of the scene.
+    start_sliding(scene.client)
+    assert scene.node.interrupt(2) == 0, scene.node.log
+    assert "Traceback" not in scene.node.log
 
 
 BREAKS = """

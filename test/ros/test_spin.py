@@ -174,7 +174,7 @@ def test_a_home_that_cannot_be_written_ends_no_node(
 def test_a_node_ends_at_the_first_sigint_at_whatever_moment(
     node: str, parameters: dict[str, object]
 ) -> None:
-    check_interrupts(node, count=3, parameters=parameters)
+    check_interrupts(node, count=2, parameters=parameters)
 
 
 def test_a_node_that_is_being_imported_ends_quietly() -> None:
