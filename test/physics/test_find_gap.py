@@ -32,7 +32,7 @@ PROTOCOLS = ("hold_0", "slide_0")
 CANDIDATES = ("force_drift", "mullins_softening", "permanent_set")
 WEIGHABLE = ("force_scale", *CANDIDATES)
 SKIN_SPACING_M = 2.0e-3
-COARSE_M = 3.6e-3
+COARSE_M = 4.8e-3
 SEED = 11
 
 

@@ -64,7 +64,7 @@ def sensor() -> SensorSpecification:
         sensor,
         # The skin that is measured: its solves serve both parts of the search.
         gel=replace(sensor.gel, skin_spacing_m=SKIN_SPACING_M),
-        solver=replace(sensor.solver, refined=False, grid_spacing_m=3.6e-3),
+        solver=replace(sensor.solver, refined=False, grid_spacing_m=4.8e-3),
     )
 
 

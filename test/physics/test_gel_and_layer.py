@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from closed_forms import bonded_layer_factor
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros import load_sensor
@@ -149,21 +150,6 @@ def test_the_equilibrium_is_one_of_the_energy(
         # Along the way the minimum lies within a hundredth of a step from here.
         assert curve > 0.0
         assert abs(slope) < 0.02 * curve
-
-
-def bonded_layer_factor(poisson_ratio: float, share: float) -> float:
-    """Return the force of a ball on a bonded layer over that on a half space, for the contact's
-    radius over the thickness (Dimitriadis et al., Biophysical Journal 82, 2002, equation 11)."""
-    nu = poisson_ratio
-    a = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1.0 - nu)
-    b = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1.0 - nu)
-    pi = np.pi
-    return float(
-        1.0
-        - 2.0 * a / pi * share
-        + 4.0 * a**2 / pi**2 * share**2
-        - 8.0 / pi**3 * (a**3 + 4.0 * pi**2 / 15.0 * b) * share**3
-    )
 
 
 def test_two_elastic_bodies_press_as_hertz_says() -> None:

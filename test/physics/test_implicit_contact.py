@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_forms import hertz_force_n
+from closed_forms import bonded_layer_factor, hertz_force_n
 from gel_cases import (
     FRICTIONLESS,
     LAWS,
@@ -58,24 +58,6 @@ def refined_pads(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Implic
         return {
             ratio: hertz_gel(ratio, grid_spacing_m=2.4e-3, refined=True) for ratio in (0.3, 0.49)
         }
-
-
-def bonded_layer_factor(poisson_ratio: float, confinement: float) -> float:
-    """Return by how much a bonded layer of finite thickness is stiffer than Hertz's half space.
-
-    Dimitriadis et al., "Determination of elastic moduli of thin layers of soft material using the
-    atomic force microscope", 2002, equations 11 and 12; confinement is sqrt(R d) / thickness.
-    """
-    nu, x = poisson_ratio, confinement
-    alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1.0 - nu)
-    beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1.0 - nu)
-    return float(
-        1.0
-        - 2.0 * alpha / np.pi * x
-        + 4.0 * alpha**2 / np.pi**2 * x**2
-        - 8.0 / np.pi**3 * (alpha**3 + 4.0 * np.pi**2 / 15.0 * beta) * x**3
-        + 16.0 * alpha / np.pi**4 * (alpha**3 + 3.0 * np.pi**2 / 5.0 * beta) * x**4
-    )
 
 
 def sunk_m(gel: ImplicitGel, state: GelState) -> float:
