@@ -278,35 +278,46 @@ sys.exit(main.main(["calibrate", "--data", "d", "--out", "o.yaml"]))
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_no_process_of_ray_is_left(number, tmp_path):
-    program, told = tmp_path / "program.py", tmp_path / "pid"
-    program.write_text(PROGRAM, encoding="utf-8")
+def test_no_process_of_ray_is_left(tmp_path):
+    (tmp_path / "program.py").write_text(PROGRAM, encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(HERE)])}
-    process = subprocess.Popen(
-        [sys.executable, str(program), str(told)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-    )
-    pool_work.wait_until(lambda: told.is_file() and bool(told.read_text()), PATIENCE_S)
-    worker = int(told.read_text())
-    family = descendants(process.pid)
-    assert worker in family
-    process.send_signal(number)
-    _, errors = process.communicate(timeout=PATIENCE_S)
+    # Side by side: they wait for Ray most of the time.
+    signals = (signal.SIGTERM, signal.SIGKILL)
+    told = {number: tmp_path / number.name for number in signals}
+    processes = {
+        number: subprocess.Popen(
+            [sys.executable, str(tmp_path / "program.py"), str(told[number])],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        for number in signals
+    }
+    families: dict[int, list[int]] = {}
     try:
-        if number == signal.SIGTERM:
-            assert (process.returncode, errors) == (143, "dotsim_ros calibrate: terminated\n")
-            pool_work.wait_until(lambda: not any(map(is_there, family)), PATIENCE_S)
-        else:
-            # Two of Ray's own, which do no work, look only now and then whether it is there.
+        for number, process in processes.items():
             pool_work.wait_until(
-                lambda: sum(map(is_there, family)) <= 2 and not is_there(worker), PATIENCE_S
+                lambda n=number: told[n].is_file() and bool(told[n].read_text()), PATIENCE_S
             )
+            families[number] = descendants(process.pid)
+            process.send_signal(number)
+        terminated, killed = processes.values()
+        _, errors = terminated.communicate(timeout=PATIENCE_S)
+        assert (terminated.returncode, errors) == (143, "dotsim_ros calibrate: terminated\n")
+        family = families[signal.SIGTERM]
+        assert int(told[signal.SIGTERM].read_text()) in family
+        pool_work.wait_until(lambda: not any(map(is_there, family)), PATIENCE_S)
+        killed.communicate(timeout=PATIENCE_S)
+        family, worker = families[signal.SIGKILL], int(told[signal.SIGKILL].read_text())
+        assert worker in family
+        # Two of Ray's own, which do no work, look only now and then whether it is there.
+        pool_work.wait_until(
+            lambda: sum(map(is_there, family)) <= 2 and not is_there(worker), PATIENCE_S
+        )
     finally:
-        for pid in filter(is_there, family):
+        left = [pid for family in families.values() for pid in family]
+        for pid in filter(is_there, [*left, *(process.pid for process in processes.values())]):
             os.kill(pid, signal.SIGKILL)
 
 
