@@ -157,9 +157,16 @@ def _arguments(node: Node) -> list[str]:
 
 @contextmanager
 def _stand_in() -> Iterator[None]:
-    """Let launch files import what they use in the block."""
+    """Let launch files import what they use in the block: names and keywords as the reference of
+    ROS 2 Jazzy documents them, and no others."""
+
+    def declared(
+        name: str, *, default_value: str, description: str, choices: list[str] | None = None
+    ) -> Argument:
+        return Argument(name, default_value)
+
     actions = {
-        "DeclareLaunchArgument": lambda name, default_value, **_: Argument(name, default_value),
+        "DeclareLaunchArgument": declared,
         "LogInfo": Log,
         "OpaqueFunction": lambda function, args=(): lambda context: function(context, *args),
     }

@@ -102,7 +102,8 @@ def test_folder(tmp_path, answered):
 
 
 def test_yaml_is_read_as_version_1_2_reads_numbers():
-    assert parse_yaml("{a: 3e5, b: 1.5E-3, c: -4}", "here") == {"a": 3e5, "b": 1.5e-3, "c": -4}
+    expected = {"a": 3e5, "b": 1.5e-3, "c": -4, "d": 3e5, "e": 3e5}
+    assert parse_yaml("{a: 3e5, b: 1.5E-3, c: -4, d: 30.E+4, e: +.3e6}", "here") == expected
 
 
 def test_aliases_and_merges_within_bounds_are_read():

@@ -36,7 +36,6 @@ from dotsim_ros.geometry.indenter import (
 from dotsim_ros.geometry.signed_distance import SignedDistanceGrid
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
-STAND_IN_MESHES = sorted((SHARED / "measured/sensor_a/indenters").glob("*.stl"))
 REAL_MESHES = sorted((SHARED / "real/indenters").glob("*.stl"))
 
 PRIMITIVES = {
@@ -229,14 +228,6 @@ def test_the_same_surface_read_twice_shares_its_grid(ball: Indenter) -> None:
     top = np.array([[0.0, 0.0, 0.0088]])
     assert larger.signed_distance(top)[0] == pytest.approx(0.0, abs=5e-6)
     assert ball.signed_distance(top)[0] == pytest.approx(0.0008, abs=5e-6)
-
-
-def test_grids_of_a_box_and_of_its_edge_differ() -> None:
-    size = [0.004, 0.004, 0.004]
-    standing, turned = box(size).distance_grid(2e-4), box_edge(size).distance_grid(2e-4)
-    probe = np.array([[0.0, 0.0, 0.005]])
-    assert sampled(standing, probe)[0] == pytest.approx(0.001, abs=1e-5)
-    assert sampled(turned, probe)[0] < -0.0004
 
 
 def test_kernel_samples_the_grid_with_a_continuous_gradient(ball: Indenter) -> None:
@@ -494,18 +485,9 @@ def test_impossible_primitives_are_refused(build: object, message: str) -> None:
         build()  # type: ignore[operator]
 
 
-def test_stand_in_sphere_and_torus_agree_with_the_primitives() -> None:
-    if not STAND_IN_MESHES:
-        pytest.skip("no measured data next to this checkout")
-    for stem, primitive in (("1_sphere", sphere(0.004)), ("4_torus", torus(0.0028, 0.0015))):
-        path = next(path for path in STAND_IN_MESHES if path.stem == stem)
-        assert_same_distance(load_mesh(path), primitive, 3e-5)
-
-
-@pytest.mark.parametrize("path", REAL_MESHES[:2] or [None])
-def test_real_meshes_load_in_millimetres_only(path: Path | None) -> None:
-    if path is None:
-        pytest.skip("no real indenters next to this checkout")
+@pytest.mark.skipif(not REAL_MESHES, reason="no real indenters next to this checkout")
+def test_a_real_mesh_loads_in_millimetres_only() -> None:
+    path = REAL_MESHES[0]
     with pytest.raises(ValueError, match="millimetres"):
         load_mesh(path)
     indenter = load_mesh(path, 0.001, away_axis="-y", origin="tip")
@@ -515,14 +497,6 @@ def test_real_meshes_load_in_millimetres_only(path: Path | None) -> None:
     assert np.abs(indenter.signed_distance(indenter.mesh.vertices_m[::50])).max() < 1e-6
 
 
-def test_definitions_of_every_form_load(tmp_path: Path) -> None:
-    closed_mesh().export(tmp_path / "cube.stl")
-    (tmp_path / "cube.yaml").write_text("kind: mesh\npath: cube.stl\nname: cube\n")
-    assert load_indenter(tmp_path / "cube.yaml").name == "cube"
-    assert load_indenter(tmp_path / "cube.stl").mesh is not None
-    assert load_indenter({"kind": "sphere", "radius_m": 0.003}).parameters == (0.003,)
-
-
 @pytest.mark.parametrize(
     ("definition", "message"),
     [
@@ -530,7 +504,6 @@ def test_definitions_of_every_form_load(tmp_path: Path) -> None:
         ("kind: sphere\nradius: 0.004\n", "radius"),
         ("kind: sphere\nradius_m: four\n", "radius_m"),
         ("- sphere\n", "expected a mapping"),
-        ("kind: [\n", "is no valid YAML"),
     ],
 )
 def test_bad_definitions_are_refused(tmp_path: Path, definition: str, message: str) -> None:
@@ -555,7 +528,8 @@ def test_unknown_name_is_refused_with_those_that_there_are(answered: Callable[..
 def test_a_home_is_meant_by_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     write_ball(tmp_path / "ball.stl")
-    (tmp_path / "ball.yaml").write_text("kind: mesh\npath: ~/ball.stl\n")
+    (tmp_path / "ball.yaml").write_text("kind: mesh\npath: ~/ball.stl\nname: mine\n")
+    assert load_indenter("~/ball.yaml").name == "mine"
     for source in ("~/ball.stl", Path("~/ball.yaml"), "mesh(path=~/ball.stl)"):
         assert load_indenter(source).mesh == load_mesh(tmp_path / "ball.stl").mesh
     with pytest.raises(FileNotFoundError, match=r"no mesh file ~nobody_of_this_name/ball\.stl"):
@@ -574,6 +548,8 @@ def test_a_home_is_meant_by_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_a_definition_in_one_line_is_what_a_parameter_can_hold(text, expected):
     found = load_indenter(text)
     assert (found.kind, found.parameters) == (expected.kind, expected.parameters)
+    if text.startswith("{"):
+        assert load_indenter(yaml.safe_load(text)).parameters == expected.parameters
     # Two of one kind differ by their names, under which a data set keeps them.
     assert found.name == text.strip()
     # What reads values as YAML, as ros2 param set does, must take it for text.

@@ -393,18 +393,6 @@ def test_null_draws_are_those_of_whole_residuals(signatures, searched):
     assert np.quantile(whole, 0.9) == pytest.approx(np.quantile(cheap, 0.9), rel=0.25)
 
 
-def test_a_vignetting_of_ten_percent_is_found_and_not_called_gamma(searched):
-    search = searched.search
-    threshold = search.threshold(0.02)
-    for seed in range(5):
-        scores = search.score(residuals_with(vignetted, seed))
-        assert scores[0].name == "vignetting"
-        assert scores[0].statistic > threshold
-        assert scores[0].explained > 0.8
-        assert scores[0].values["edge_loss"] == pytest.approx(0.1, rel=0.25)
-        assert "gamma" not in search.alike(scores)
-
-
 def test_ambient_light_and_gamma_are_flagged_as_a_pair(searched):
     search = searched.search
     pairs = search.likeness()

@@ -23,33 +23,7 @@ import setuptools
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("dotsim_ros", "msg_adapters")
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
-LAUNCH_ARGUMENTS = ROOT / "dotsim_ros" / "nodes" / "common" / "launch_arguments.py"
 each_launch_file = pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-
-PROCESS_KEYWORDS = {"output", "condition", "on_exit", "respawn", "respawn_delay"}
-LAUNCH_KEYWORDS = {
-    ("ament_index_python.packages", "get_package_share_directory"): set(),
-    ("launch", "LaunchContext"): set(),
-    ("launch", "LaunchDescription"): set(),
-    ("launch.actions", "DeclareLaunchArgument"): {"default_value", "description", "choices"},
-    ("launch.actions", "LogInfo"): {"msg"},
-    ("launch.actions", "OpaqueFunction"): {"function", "args", "kwargs"},
-    ("launch_ros.actions", "Node"): {
-        "executable",
-        "package",
-        "name",
-        "namespace",
-        "exec_name",
-        "parameters",
-        "remappings",
-        "ros_arguments",
-        "arguments",
-        "sigterm_timeout",
-        "sigkill_timeout",
-        *PROCESS_KEYWORDS,
-    },
-}
-"""What launch files may use, with its keywords, as the reference of ROS 2 Jazzy documents it."""
 
 FOREIGN_NODES = {
     ("ros_gz_bridge", "parameter_bridge"),
@@ -228,24 +202,6 @@ def test_pip_and_rosdep_know_the_same_requirements() -> None:
     # The live page and the arm are extras of pip's; a workspace has none.
     needed = requirements() | extra("LIVE") | extra("ARM")
     assert {ROS_KEYS.get(name, name) for name in needed} == keys
-
-
-@pytest.mark.parametrize("path", [*LAUNCH_FILES, LAUNCH_ARGUMENTS], ids=lambda path: path.name)
-def test_launch_file_uses_only_what_launch_documents(path: Path) -> None:
-    tree = tree_of(path)
-    imported = {
-        (found.module, alias.name)
-        for found in ast.walk(tree)
-        if isinstance(found, ast.ImportFrom)
-        and found.module
-        and found.module.partition(".")[0] in ("launch", "launch_ros", "ament_index_python")
-        for alias in found.names
-    }
-    assert imported
-    assert imported <= set(LAUNCH_KEYWORDS)
-    for module, name in imported:
-        for call in calls(tree, name):
-            assert set(keywords(call)) <= LAUNCH_KEYWORDS[module, name], ast.unparse(call)
 
 
 def own_nodes(path: Path) -> list[ast.Call]:

@@ -62,15 +62,6 @@ def shown(value: object) -> str:
     return words if len(words) <= 180 else f"{words[:180]}..."
 
 
-def test_shipped_sensor_loads_by_name_and_by_path() -> None:
-    sensor = load_sensor("densetact2")
-    assert sensor.name == "densetact2"
-    assert sensor.gel.outer_radius_m == 0.01575
-    assert sensor.gel.core_radius_m == 0.006
-    assert load_sensor(ROOT / "params" / "sensors" / "densetact2.yaml") == sensor
-    assert isinstance(sensor, SensorSpecification)
-
-
 def test_missing_entries_take_their_defaults(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("contact: {friction_coefficient: 1}\nsolver:\n")
@@ -83,12 +74,8 @@ def test_missing_entries_take_their_defaults(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("gel: {radius: 1}", r"section 'gel' has unknown entries \['radius'\]; known are"),
-        ("jelly: {}\n3: 4", "'3' is no text and so no name"),
-        ("gel: []", r"section 'gel' is \[\], expected names and their values"),
         ("- 1\n- 2", "holds no mapping"),
         ("name: 5", "name is 5, expected text"),
-        ("gel: {shape: dome, shape: dome}", "'shape' is given twice"),
     ],
 )
 def test_mistakes_in_a_file_are_named(tmp_path: Path, text: str, message: str) -> None:
@@ -128,26 +115,21 @@ def test_a_sensor_and_its_image_may_lie_in_the_home(
         ("gel", "shape", "cube", "one of dome, flat_pad"),
         ("camera", "idle_image", "3", "text"),
         # Numbers: below, above, not finite, of another type.
-        ("gel", "skin_spacing_m", ".nan", "a number from 5.0e-05 to 0.005 m"),
         ("gel", "outer_radius_m", "true", "a number from 0.001 to 0.2 m"),
         ("gel", "outer_radius_m", "", "a number from 0.001 to 0.2 m"),
-        ("gel", "outer_radius_m", "[0.01]", "a number from 0.001 to 0.2 m"),
         ("gel", "outer_radius_m", "1" + 400 * "0", "a number from 0.001 to 0.2 m"),
         ("contact", "stiffness", "0", "a number from above 0 to 100000"),
         ("noise", "deviation_levels", "-1", "a number from 0 to 50 grey levels of 255"),
         # Whole numbers.
         ("camera", "width", "640.0", "a whole number from 16 to 4096 px"),
-        ("camera", "height", "true", "a whole number from 16 to 4096 px"),
         ("solver", "iterations", "0", "a whole number from 1 to 1000"),
         # True or false.
         ("solver", "dynamic", "1", "true or false"),
         # Lists.
-        ("gel", "pad_size_m", "0.02", "3 numbers from 0.0005 to 0.2 m"),
         ("gel", "pad_size_m", "[0.02, 0.02]", "3 numbers from 0.0005 to 0.2 m"),
         ("gel", "pad_size_m", "[0.02, 0.02, true]", "3 numbers from 0.0005 to 0.2 m"),
         ("material", "prony_shares", "0.3", "a list of numbers from above 0 to 1"),
         ("material", "prony_times_s", "[0.0]", "a list of numbers from 1.0e-06 to 1.0e+07 s"),
-        ("vignetting", "falloff", "[a]", "a list of numbers from -100 to 100"),
     ],
 )
 def test_a_bad_field_is_refused_with_its_name_its_value_and_what_it_takes(
@@ -162,7 +144,6 @@ def test_a_bad_field_is_refused_with_its_name_its_value_and_what_it_takes(
 @pytest.mark.parametrize(
     ("section", "entry", "value", "meant"),
     [
-        ("gel", "outer_radius_m", "15.75", "0.01575 (metres)"),
         ("gel", "pad_size_m", "[20, 25, 4]", "[0.02, 0.025, 0.004] (metres)"),
         ("solver", "grid_spacing_m", "2.4", "0.0024 (metres)"),
         ("material", "youngs_modulus_pa", "0.3", "300000 (pascals)"),
@@ -183,13 +164,6 @@ def test_what_yaml_takes_for_text_is_told() -> None:
     message = refusal("material: {youngs_modulus_pa: '3e5'}")
     assert "material.youngs_modulus_pa is '3e5'" in message
     assert message.endswith("this is text, the number is written 300000")
-
-
-@pytest.mark.parametrize("text", ["3e5", "30.E+4", "+.3e6"])
-def test_numbers_with_an_exponent_are_numbers(text: str, tmp_path: Path) -> None:
-    path = tmp_path / "sensor.yaml"
-    path.write_text(f"material: {{youngs_modulus_pa: {text}}}\n", encoding="utf-8")
-    assert load_sensor(path).material.youngs_modulus_pa == 3.0e5
 
 
 @pytest.mark.parametrize(

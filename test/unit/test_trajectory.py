@@ -237,7 +237,6 @@ def test_an_indenter_is_a_mesh_a_description_or_a_definition(tmp_path, trajector
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        ("trajectories: [", "is no valid YAML"),
         ("[]", "expected a list"),
         ("trajectories: [press]", "expected a mapping"),
         ("trajectories: [{bag: bags/press, frames: -1}]", "frames"),
