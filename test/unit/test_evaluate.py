@@ -104,7 +104,7 @@ def trajectory(*, seed: int = 0, **changes: Any) -> Trajectory:
 def press_of(measured: Trajectory) -> Press:
     """Return the press of what a bag holds."""
     entry = DataSetEntry("ball_0", Path(), "ball", len(DEPTHS_M), has_images=False)
-    return MeasuredBag(entry, Topics(), measured, {}).press()
+    return MeasuredBag(entry, Topics(), measured, {}, {}).press()
 
 
 def press(**changes: Any) -> Press:
