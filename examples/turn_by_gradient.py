@@ -52,7 +52,7 @@ def main(steps: int) -> None:
         turned_deg = math.degrees(felt[1].item() / SPRING_NM_RAD)
         print(
             f"step {step}: {1e3 * depth_m:.3f} mm deep, twisted by {math.degrees(twist_rad):.2f} "
-            f"degrees on the box: {felt[0].item():.3f} N, the box turns by {turned_deg:.2f} degrees",
+            f"degrees on the box: {felt[0]:.3f} N, the box turns by {turned_deg:.2f} degrees",
             flush=True,
         )
         change = np.linalg.solve(np.column_stack([by_depth, by_twist]), -off)
