@@ -25,6 +25,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import cv2
 import numpy as np
 
 from dotsim_ros.data.lerobot.statistics import (
@@ -34,6 +35,7 @@ from dotsim_ros.data.lerobot.statistics import (
     statistics_of,
 )
 from dotsim_ros.data.lerobot.video import VideoFile
+from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.documents import read_json, value_text
 from dotsim_ros.io.extras import extra_needed
 from dotsim_ros.io.files import no_room_named, whole_file, write_json
@@ -42,6 +44,7 @@ VERSION = "v3.0"
 INFO, STATISTICS, TASKS = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA, EPISODES = f"data/{FILE}.parquet", f"meta/episodes/{FILE}.parquet"
+SEEN = ("video", "image")
 VIDEO = f"videos/{{video_key}}/{FILE}.mp4"
 FILES_A_CHUNK = 1000
 SAMPLED_IMAGES = 8
@@ -60,8 +63,8 @@ INDEX_FEATURES: dict[str, dict[str, Any]] = {
 episode, of the episode, of the frame in the data set, and of the task."""
 
 Feature = Mapping[str, Any]
-"""`dtype`: of numpy, "video" for images (H, W, 3), or "string"; `shape`; `names` of the entries of
-a shape, None for none."""
+"""`dtype`: of numpy, "video" or "image" (PNG, exact) for images (H, W, 3), or "string"; `shape`;
+`names` of the entries of a shape, None for none."""
 
 
 def check_installed() -> None:
@@ -154,6 +157,9 @@ class LeRobotWriter:
     def _videos(self) -> list[str]:
         return [key for key, feature in self.features.items() if feature["dtype"] == "video"]
 
+    def _seen(self) -> list[str]:
+        return [key for key, feature in self.features.items() if feature["dtype"] in SEEN]
+
     def _continue(self) -> None:
         """Take what is there.
 
@@ -226,8 +232,8 @@ class LeRobotWriter:
         """Append an episode to the group that `flush` writes.
 
         Args:
-            frames: (F, ...) of each feature by key; of a video also any iterable of F images
-                (H, W, 3) uint8, red, green, blue, which is read once.
+            frames: (F, ...) of each feature by key; of a video or image also any iterable of F
+                images (H, W, 3) uint8, red, green, blue, which is read once.
             task: what is done, in words.
 
         Raises:
@@ -244,11 +250,11 @@ class LeRobotWriter:
         arrays = {
             key: self._array(key, values)
             for key, values in given.items()
-            if self.features[key]["dtype"] != "video"
+            if self.features[key]["dtype"] not in SEEN
         }
         lengths = {len(values) for values in arrays.values()} or {
             len(given[key])  # type: ignore[arg-type]
-            for key in self._videos()
+            for key in self._seen()
         }
         if len(lengths) != 1 or 0 in lengths:
             raise ValueError(
@@ -264,9 +270,12 @@ class LeRobotWriter:
             "index": self.frame_count + number,
             "task_index": np.full(count, self._task_index(task)),
         }
+        files: dict[str, list[bytes]] = {key: [] for key in self._seen()}
         with no_room_named(self.folder):
             try:
-                found = {key: self._filmed(key, given[key], count) for key in self._videos()}
+                found = {
+                    key: self._stored(key, given[key], count, files[key]) for key in self._seen()
+                }
             except BaseException:
                 self._drop_group()
                 raise
@@ -275,6 +284,7 @@ class LeRobotWriter:
             for key, values in arrays.items()
             if self.features[key]["dtype"] != "string"
         }
+        arrays |= {key: np.array(files[key], dtype=object) for key in files if files[key]}
         before = sum(episode["length"] for episode in self._episodes)
         chunk, file = divmod(self._file_count, FILES_A_CHUNK)
         place = {"chunk_index": chunk, "file_index": file}
@@ -320,8 +330,8 @@ class LeRobotWriter:
             raise ValueError(f"{key} has the shape {array.shape}, expected {expected}")
         return array
 
-    def _filmed(self, key: str, images: Any, count: int) -> Statistics:
-        """Append images to a video of the group, and return their statistics."""
+    def _encoder(self, key: str) -> VideoFile:
+        """Return the video of the group."""
         height, width, _ = self.features[key]["shape"]
         if self._part is None:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -329,6 +339,13 @@ class LeRobotWriter:
         if key not in self._encoders:
             path = Path(self._part.name) / f"{key}.mp4"
             self._encoders[key] = VideoFile(path, (width, height), self.fps)
+        return self._encoders[key]
+
+    def _stored(self, key: str, images: Any, count: int, files: list[bytes]) -> Statistics:
+        """Append images to a video of the group, or as PNG to `files`; return their statistics."""
+        height, width, _ = self.features[key]["shape"]
+        is_video = self.features[key]["dtype"] == "video"
+        add = self._encoder(key).add if is_video else lambda image: files.append(_png(image))
         step = max(1, min(height, width) // SAMPLED_SIDE_PX)
         wanted = set(np.linspace(0, count - 1, min(count, SAMPLED_IMAGES)).astype(int).tolist())
         sampled, seen = [], 0
@@ -339,7 +356,7 @@ class LeRobotWriter:
                     f"{(height, width, 3)}"
                 )
             pixels = np.ascontiguousarray(image, dtype=np.uint8)
-            self._encoders[key].add(pixels)
+            add(pixels)
             if seen in wanted:
                 sampled.append(pixels[::step, ::step].copy())
             seen += 1
@@ -414,6 +431,14 @@ class LeRobotWriter:
             if self.features[key]["dtype"] == "string":
                 columns[key] = pa.array(values.tolist(), pa.string())
                 continue
+            if self.features[key]["dtype"] == "image":
+                kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+                files = [
+                    {"bytes": png, "path": f"frame-{number:06d}.png"}
+                    for number, png in enumerate(values.tolist())
+                ]
+                columns[key] = pa.array(files, kind)
+                continue
             column = pa.array(values.reshape(-1))
             # The innermost list has a fixed length where there is one list only, as in LeRobot.
             for length in values.shape[:0:-1]:
@@ -424,6 +449,10 @@ class LeRobotWriter:
                     column = pa.ListArray.from_arrays(pa.array(ends), column)
             columns[key] = column
         return pa.table(columns)
+
+
+def _png(image: ImageArray) -> bytes:
+    return cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
 def _nested(row: Mapping[str, Any]) -> dict[str, Statistics]:
