@@ -402,7 +402,6 @@ def test_gradient_at_the_settings_of_the_shipped_sensor_whose_contact_is_refined
         law=material.law,
         contact=SHIPPED.contact,
         indenter=load_indenter("box_edge"),
-        path=PRESS,
         solver=SHIPPED.solver,
         dome_skin_spacing_m=SHIPPED.gel.skin_spacing_m,
     )

@@ -64,6 +64,7 @@ ARGUMENTS: dict[str, list[str]] = {
 }
 ARM_PARAMETERS: dict[str, dict[str, Any]] = {
     "start_pose: the arm does not reach": {"start_pose": [1.3, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]},
+    "start_pose is": {"start_pose": [0.35, 0.0, 0.3]},
 }
 """Of `xarm_sim`, by words of the reason; what its class refuses is in the tests of that."""
 SHIPPED = {"policy": "densetact2_sphere"}
@@ -79,6 +80,7 @@ POLICY_PARAMETERS: dict[str, dict[str, Any]] = {
 SENSOR_PARAMETERS: dict[str, dict[str, Any]] = {
     "no_such_sensor": {"sensor": "no_such_sensor"},
     "no mesh file": {"indenter": "/no/such/mesh.stl"},
+    "lockstep shows each pose": {"profile": "fast", "clock": "lockstep"},
     "no idle image /no/such/image.png": {"idle_image": "/no/such/image.png"},
     "of type 'INTEGER', expecting type 'STRING': profile": {"profile": 3},
     "of type 'STRING_ARRAY', expecting type 'STRING': profile": {"profile": "[fast, auto]"},

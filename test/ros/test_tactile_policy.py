@@ -43,34 +43,37 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_network(tmp_path_factory.mktemp("policy") / "steady")
 
 
-SLOW_POLICY = """
+BAD_POLICY = """
 import time
 from dotsim_ros.nodes.tactile_policy import node as tactile_policy
 from dotsim_ros.nodes.common.spin import run_node
 from dotsim_ros.control.policy.network import load_policy
 
-def load_slow(folder, path):
+def load_bad(folder, path):
     policy = load_policy(folder, path)
     ask = type(policy).__call__
 
-    class Slow(type(policy)):
+    class Bad(type(policy)):
         def __call__(self, image, idle):
-            # A crop whose first pixel is white stands for an overload.
+            # A crop whose first pixel is white stands for an overload, one of 1 for a runtime that
+            # fails; at its start the node shows a black one.
             if image[0, 0].min() == 255:
                 time.sleep(0.3)
+            if (image[0, 0] == 1).all():
+                raise RuntimeError("no memory is left")
             return ask(self, image, idle)
 
-    policy.__class__ = Slow
+    policy.__class__ = Bad
     return policy
 
-raise SystemExit(run_node(lambda: tactile_policy.TactilePolicy(load_slow)))
+raise SystemExit(run_node(lambda: tactile_policy.TactilePolicy(load_bad)))
 """
 
 
-def with_white_pixel(crop: np.ndarray) -> np.ndarray:
-    """Return a crop by which `SLOW_POLICY` knows what to do."""
+def with_first_pixel(crop: np.ndarray, value: int) -> np.ndarray:
+    """Return a crop by which `BAD_POLICY` knows what to do."""
     marked = crop.copy()
-    marked[0, 0] = 255
+    marked[0, 0] = value
     return marked
 
 
@@ -78,7 +81,7 @@ def with_white_pixel(crop: np.ndarray) -> np.ndarray:
 def shared(network: Path) -> Iterator[tuple[Executable, Rig]]:
     """A node at 25 commands a second that reads the force; faults are mended by `start`."""
     given = {"force_limit_n": 2.0, "retreat_m": 0.2}
-    with policy_and_rig(network, code=SLOW_POLICY, **given) as (executable, rig):
+    with policy_and_rig(network, code=BAD_POLICY, **given) as (executable, rig):
         yield executable, rig
 
 
@@ -170,9 +173,21 @@ FAULTS: dict[str, tuple[dict[str, Any], str, str, str]] = {
     "poses cut": ({"has_poses": False}, "stopped", "pose_stale", "ms ago"),
     "NaN": ({"crop": with_white_spot(IDLE)}, "latched", "not_finite", "nan"),
     "another sensor": ({"crop": 255 - IDLE}, "latched", "wrong_sensor", "another"),
+    "another shape": (
+        {"crop": np.zeros((120, 200, 3), dtype=np.uint8)},
+        "latched",
+        "wrong_sensor",
+        "160x120",
+    ),
+    "policy fails": (
+        {"crop": with_first_pixel(IDLE, 1)},
+        "latched",
+        "policy_failed",
+        "no memory is left",
+    ),
     # The image before is the last one that is answered in time, a little after it came.
     "policy overloaded": (
-        {"crop": with_white_pixel(IDLE)},
+        {"crop": with_first_pixel(IDLE, 255)},
         "stopped",
         "policy_late",
         "does not keep up",
@@ -232,7 +247,7 @@ def test_a_fault_at_a_random_moment_stops_the_arm_in_time(rig: Rig, name: str) -
 def test_misses_of_an_overloaded_policy_are_told(shared: tuple[Executable, Rig]) -> None:
     executable, rig = shared
     rig.start()
-    rig.crop = with_white_pixel(rig.idle)
+    rig.crop = with_first_pixel(rig.idle, 255)
     executable.wait_for_line("inference: a deadline was missed by")
     rig.wait(lambda: int(rig.state("inference").values["deadline_misses_over_40_ms"]) > 2, "misses")
 
@@ -394,6 +409,17 @@ def test_the_idle_image_is_not_taken_while_the_arm_moves(rig: Rig) -> None:
     assert not answer.success
     assert "disable first" in answer.message
     assert "enabled already" in rig.enable().message
+
+
+def test_poses_in_another_frame_are_refused_and_the_arm_stops(
+    shared: tuple[Executable, Rig],
+) -> None:
+    executable, rig = shared
+    rig.start()
+    rig.pose_frame = "world"
+    rig.wait_for_reason("stopped", "pose_stale")
+    executable.wait_for_line("its frame is 'world', expected 'link_base'")
+    assert int(rig.state("input").values["refused"]) > 0
 
 
 def test_the_limits_do_not_change_while_it_runs(rig: Rig) -> None:

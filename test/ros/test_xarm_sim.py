@@ -12,6 +12,7 @@ from contextlib import closing
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from arm_rig import ArmClient
 from harness import Executable, measured_until, running
@@ -67,6 +68,12 @@ def settled(client: ArmClient) -> Any:
 
     client.wait(stands, "the arm to stand")
     return places[-1]
+
+
+def test_no_socket_is_open_to_other_machines(session: Session) -> None:
+    number = session[0].process.pid
+    found = {each.laddr.ip for each in psutil.net_connections("inet") if each.pid == number}
+    assert found == {"127.0.0.1"}
 
 
 def test_poses_carry_the_times_of_their_states_100_a_second(client: ArmClient) -> None:

@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import struct
+import subprocess
 import threading
 import time
 from contextlib import contextmanager
@@ -173,6 +174,30 @@ def test_full_disk_keeps_every_message_that_was_written(tmp_path, length):
     assert [time_ns for topic, time_ns in found if topic == TOPIC] == [
         10**9 + index for index in range(summary.written[TOPIC])
     ]
+
+
+def test_disk_that_is_really_full(tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(disk)], capture_output=True
+    )
+    if mounted.returncode != 0:
+        pytest.skip("no disk can be mounted here")
+    try:
+        recording = BagRecording(disk / "bag", {"/image_raw": IMAGE}, queue_bytes=2**26)
+        for index in range(60):
+            recording.put("/image_raw", image(index))
+        summary = recording.close()
+        assert "No space left on device" in summary.error
+        count = summary.written["/image_raw"]
+        assert count > 20
+        assert count + summary.missing == 60
+        with BagReader(disk / "bag") as bag:
+            assert len(list(bag.messages("/image_raw"))) == count
+        assert os.listdir(disk) == ["bag"]
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
 
 
 def wait_until_written(recording, count):
