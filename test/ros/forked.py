@@ -3,8 +3,9 @@
 
 """Python programs in processes that need not import again what takes most of a node's start.
 
-A server imports the sensor, but not ROS, whose import starts threads, and forks for each program.
-The program ends as its own interpreter would: with all exit handlers, and with its own status.
+A server imports the sensor and makes one, but not ROS, whose import starts threads, and forks for
+each program. The program ends as its own interpreter would: with all exit handlers, and with its
+own status.
 """
 
 from __future__ import annotations
@@ -27,6 +28,21 @@ from threading import Lock
 from types import ModuleType
 
 PRELOADED = "import cv2, scipy.optimize, scipy.spatial, dotsim_ros.sensor"
+WARMED_UP = """
+from dataclasses import replace
+import cv2
+from dotsim_ros import Pose, TactileSensor, load_sensor
+sensor = load_sensor("densetact2")
+solver = replace(sensor.solver, grid_spacing_m=0.0048)
+# A pool of threads that OpenCV makes is none in a fork.
+thread_count = cv2.getNumThreads()
+cv2.setNumThreads(1)
+TactileSensor.load(replace(sensor, solver=solver)).step(Pose.above_apex(0.0005))
+cv2.setNumThreads(thread_count)
+"""
+"""Leaves the kernels loaded, which takes longer than the rest of a sensor's start."""
+GPU = Path("/proc/driver/nvidia")
+"""Where it is there, Warp opens it, and what is opened is of no use after a fork."""
 LONGEST_REQUEST = 1 << 20
 
 
@@ -153,6 +169,8 @@ if __name__ == "__main__":
     # The folder of this file is not one that a program imports from.
     del sys.path[0]
     exec(PRELOADED)
+    if not GPU.exists():
+        exec(WARMED_UP, {})
     # What was imported is shared with the programs as long as nothing counts or searches it.
     gc.freeze()
     _serve(socket.socket(fileno=int(sys.argv[1])))
