@@ -51,7 +51,7 @@ def _document(folder: Path, **changes: Any) -> dict[str, Any]:
     small = {
         "sensor": str(folder / "pad.yaml"),
         "indenters": ["sphere(radius_m=0.003)"],
-        "image_px": [80, 60],
+        "image_side_px": 80,
         "frames": 8,
         "touches_a_gel": 2,
     }
@@ -148,11 +148,13 @@ def test_a_run_that_was_ended_goes_on_to_the_same_data(tmp_path: Path) -> None:
     assert main([*made, "--out", str(whole), "--workers", "2"]) == 0
     shutil.copytree(whole, ended)
     (ended / "touches-000001.tar").unlink()
-    (ended / "touches-000002.tar").rename(ended / ".part.touches-000002.tar")
+    (ended / ".part.killed").mkdir()
+    (ended / "touches-000002.tar").rename(ended / ".part.killed" / "touches-000002.tar")
     (ended / "contact_sheet.jpg").unlink()
     assert main([*made, "--out", str(ended), "--workers", "1"]) == 0
     for name in ("contact_sheet.jpg", *(f"touches-{k:06d}.tar" for k in range(3))):
         assert (ended / name).read_bytes() == (whole / name).read_bytes()
+    assert not (ended / ".part.killed").exists()
     with tarfile.open(whole / "touches-000002.tar") as archive:
         names = archive.getnames()
         npz = archive.extractfile("000004_0007.npz")
@@ -205,7 +207,7 @@ def _with(folder: Path, *path: str, value: Any) -> dict[str, Any]:
         (("effects", "backlash"), {}, "expected effects on gel or image"),
         (("touches", "grasp"), 1, "make a data set of each"),
         (("contents",), ["sound"], "contents has 'sound'"),
-        (("image_px",), [80, 80], "expected the shape of the sensor's 80 x 60"),
+        (("image_side_px",), [80, 80], "image_side_px is [80, 80], expected a number from 16"),
     ],
 )
 def test_a_plan_that_is_wrong_is_refused_in_one_line(

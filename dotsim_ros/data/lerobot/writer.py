@@ -47,9 +47,9 @@ DATA, EPISODES = f"data/{FILE}.parquet", f"meta/episodes/{FILE}.parquet"
 SEEN = ("video", "image")
 VIDEO = f"videos/{{video_key}}/{FILE}.mp4"
 FILES_A_CHUNK = 1000
-SAMPLED_IMAGES = 8
+SAMPLED_IMAGES = 4
 """Of an episode's images, so many at most are in its statistics, ..."""
-SAMPLED_SIDE_PX = 100
+SAMPLED_SIDE_PX = 60
 """...at so many pixels of a side at least."""
 
 INDEX_FEATURES: dict[str, dict[str, Any]] = {

@@ -33,7 +33,7 @@ CONTENTS = (
 OF_OWN = "of own"
 """Unit of a range that the sensor's own value is multiplied by."""
 KEYS = (
-    *("version", "sensor", "indenters", "touches", "frames", "rate_hz", "image_px"),
+    *("version", "sensor", "indenters", "touches", "frames", "rate_hz", "image_side_px"),
     *("touches_a_gel", "contents", "pose", "gel", "effects", "noise"),
 )
 POSE_LIMITS: dict[str, tuple[str, float, float]] = {
@@ -76,7 +76,7 @@ class TouchPlan:
         touches: shares of the kinds of `KINDS`.
         frames: of each touch; the first one is without contact.
         rate_hz: of the frames.
-        image_px: width and height of the images.
+        image_px: width and height of the images, no larger than the camera's.
         touches_a_gel: so many touches, one after the other, have one gel, and are written together.
         contents: of `CONTENTS`.
         pose, gel, noise: ranges by name: of the motion, of parameters of the gel, and of noise.
@@ -149,14 +149,14 @@ def plan_of(document: Mapping[str, Any], place: str) -> TouchPlan:
     """Return the plan of a mapping that has all `KEYS`; errors as `read_plan`."""
     specification = load_sensor(str(document["sensor"]))
     check_is_quasi_static(specification)
-    plan = TouchPlan(
+    return TouchPlan(
         document=document,
         sensor=specification,
         indenters=_indenters(document["indenters"], place),
         touches=_touches(document["touches"], place),
         frames=_whole(document["frames"], f"{place}: frames", LEAST_FRAMES, 10_000),
         rate_hz=_number(document["rate_hz"], f"{place}: rate_hz", 0.1, 1000.0),
-        image_px=_size(document["image_px"], f"{place}: image_px"),
+        image_px=_size(document["image_side_px"], specification, f"{place}: image_side_px"),
         touches_a_gel=_whole(document["touches_a_gel"], f"{place}: touches_a_gel", 1, 10_000),
         contents=_contents(document["contents"], specification, place),
         pose=_ranges(document["pose"], POSE_LIMITS, f"{place}: pose", needs_all=True),
@@ -164,14 +164,6 @@ def plan_of(document: Mapping[str, Any], place: str) -> TouchPlan:
         effects=_effects(document["effects"], place),
         noise=_ranges(document["noise"], NOISE_LIMITS, f"{place}: noise", needs_all=True),
     )
-    width, height = plan.image_px
-    camera = specification.camera
-    if width * camera.height != height * camera.width:
-        raise ValueError(
-            f"{place}: image_px is {value_text(document['image_px'])}, expected the shape of the "
-            f"sensor's {camera.width} x {camera.height}"
-        )
-    return plan
 
 
 def _indenters(given: Any, place: str) -> tuple[Indenter, ...]:
@@ -321,7 +313,10 @@ def _whole(value: Any, called: str, low: int, high: int) -> int:
     return int(value)
 
 
-def _size(value: Any, called: str) -> tuple[int, int]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise ValueError(f"{called} is {value_text(value)}, expected width and height in pixels")
-    return _whole(value[0], called, 16, 4096), _whole(value[1], called, 16, 4096)
+def _size(value: Any, sensor: SensorSpecification, called: str) -> tuple[int, int]:
+    """Return the size of the camera's image with a longer side of so many pixels."""
+    camera = sensor.camera
+    share = _whole(value, called, 16, 4096) / max(camera.width, camera.height)
+    if share >= 1.0:
+        return camera.width, camera.height
+    return round(share * camera.width), round(share * camera.height)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
@@ -72,6 +73,8 @@ def make_touches(
     if count < 1:
         raise ValueError(f"{count} touches, expected 1 or more")
     _keep_card(folder, plan, count, seed, kind)
+    for half_written in folder.rglob(".part.*"):
+        shutil.rmtree(half_written, ignore_errors=True)
     written = FORMATS[kind](folder, plan)
     group_count = math.ceil(count / plan.touches_a_gel)
     missing = [number for number in range(group_count) if not written.holds(number)]
