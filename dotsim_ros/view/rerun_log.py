@@ -24,7 +24,7 @@ from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.extras import extra_needed
 from dotsim_ros.io.files import whole_file
 from dotsim_ros.io.printable import placed
-from dotsim_ros.view.panels import AXIS_COLOURS, SKIN_COLOURS, PanelImages, coloured
+from dotsim_ros.view.panels import AXIS_COLOURS, PanelImages, coloured
 from dotsim_ros.view.skin_map import read_rest_m, rest_position_m, skin_triangles
 from dotsim_ros.view.timeline import ViewTopics, open_timeline
 from msg_adapters.image import PNG_SIGNATURE
@@ -33,6 +33,8 @@ APPLICATION = "dotsim_ros"
 TIMELINE = "stamp"
 SUFFIX = ".rrd"
 URL_BEGINNING = "rerun+http"
+SKIN_COLOURS = "plasma"
+"""Not black where nothing moves: the shape of the skin shows, too."""
 SKIN_SCALE_M = 2e-3
 """Motion of the brightest colour, where the largest is not known."""
 AXIS_LENGTH_M = 5e-3

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import msg_adapters
 from dotsim_ros.data.bag import BagMessage, BagReader
 from dotsim_ros.data.mcap.reader import Tolerance
-from dotsim_ros.data.trajectory import decode_colour
+from dotsim_ros.data.trajectory import Topics, decode_colour
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.printable import placed
 
@@ -79,6 +79,13 @@ def find_topics(there: dict[str, str], *, given: ViewTopics | None = None) -> Vi
     if found == ViewTopics():
         raise ValueError(f"the bag holds nothing to look at: {', '.join(there) or 'no message'}")
     return found
+
+
+def bag_topics(path: Path, given: ViewTopics | None = None) -> Topics:
+    """Return where a bag has the channels of a trajectory; as `find_topics`."""
+    with BagReader(path) as bag, placed(path):
+        found = find_topics(bag.topics(), given=given)
+    return Topics(found.pose or "", found.wrench or "", found.points or "", found.image or "")
 
 
 @dataclass(frozen=True)
