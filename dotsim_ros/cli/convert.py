@@ -15,6 +15,7 @@ example:
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -46,11 +47,9 @@ def run(
         pose: topic of the indenter's pose.
         joints: topic of the joints' states.
     """
-    from dotsim_ros.data.bag import BagReader
     from dotsim_ros.data.lerobot.bags import bags_to_lerobot, lerobot_to_bags
     from dotsim_ros.data.lerobot.writer import INFO
-    from dotsim_ros.data.trajectory import Topics
-    from dotsim_ros.view.timeline import ViewTopics, find_topics
+    from dotsim_ros.view.timeline import ViewTopics, bag_topics
 
     def warn(words: str) -> None:
         say(f"dotsim_ros convert: {words}")
@@ -64,14 +63,15 @@ def run(
             print(path)
         return 0
 
-    def topics(bag: Path) -> Topics:
-        with BagReader(bag) as reader:
-            given = ViewTopics(image=image, points=points, wrench=wrench, pose=pose)
-            found = find_topics(reader.topics(), given=given)
-        return Topics(found.pose or "", found.wrench or "", found.points or "", found.image or "")
-
+    given = ViewTopics(image=image, points=points, wrench=wrench, pose=pose)
     count = bags_to_lerobot(
-        sources, out, warn, topics=topics, joints=joints, is_video=images == "mp4", task=task
+        sources,
+        out,
+        warn,
+        topics=partial(bag_topics, given=given),
+        joints=joints,
+        is_video=images == "mp4",
+        task=task,
     )
     print(f"{out}: {len(sources)} episodes, {count} frames")
     return 0

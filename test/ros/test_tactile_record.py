@@ -20,6 +20,8 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 import msg_adapters
 from dotsim_ros.cli.main import main
 from dotsim_ros.data.bag import BagReader
+from dotsim_ros.data.lerobot.bags import IMAGE
+from dotsim_ros.data.lerobot.reader import LeRobotReader
 from dotsim_ros.data.trajectory import RECORDED_TOPICS, read_trajectory
 from dotsim_ros.nodes.tactile_record.node import TactileRecord
 
@@ -136,6 +138,26 @@ def test_everything_that_is_published_is_in_the_bag(tmp_path):
     assert [camera.k[0] for camera in cameras] == [30.0 + index for index in range(COUNT)]
     for messages, depth in zip(frames, depths, strict=True):
         assert msg_adapters.decode_image(depth).tobytes() == messages["depth/image"].data.tobytes()
+
+
+def test_a_data_set_is_made_of_the_bag(tmp_path):
+    for package in ("pyarrow", "av"):
+        pytest.importorskip(package, reason="needs the extra dataset: pip install '.[dataset]'")
+    frames = [frame(index) for index in range(COUNT)]
+    parameters = {"output": tmp_path / "bag", "lerobot": tmp_path / "set"}
+    with closing(Source()) as source, recording(**parameters) as recorder:
+        source.meet(*TOPICS)
+        for messages in frames:
+            for topic, message in messages.items():
+                source.send(topic, message)
+        source.deliver()
+        recorder.wait_for_line(f"{COUNT * len(TOPICS)} messages so far")
+        assert recorder.interrupt() == 0, recorder.log
+    assert f"wrote {COUNT} frames to {tmp_path / 'set'}" in recorder.log
+    reader = LeRobotReader(tmp_path / "set")
+    (episode,) = reader.episodes()
+    for image, messages in zip(reader.images(episode, IMAGE), frames, strict=True):
+        assert np.array_equal(image, msg_adapters.decode_image(messages["image_raw"]))
 
 
 @pytest.mark.fault("recording", "a camera's driver publishes as sensor data, of best effort")

@@ -57,6 +57,8 @@ NAMES = {
     SKIN: None,
 }
 JOINT_TYPE, JOINTS_TOPIC = "sensor_msgs/msg/JointState", "/joint_states"
+TASK = "touch"
+"""What is done, where nobody said."""
 ORIGIN = "meta/dotsim_ros.json"
 """Topics and frames of the bags that a data set was made of."""
 
@@ -180,6 +182,12 @@ def _channel(key: str, names: Any) -> str:
     return {WRENCH: "wrench", SKIN: "skin"}.get(key, "joints")
 
 
+def check_absent(folder: Path) -> None:
+    """Raise FileExistsError where there is something already."""
+    if folder.exists():
+        raise FileExistsError(f"{folder} exists already; give another path or remove it")
+
+
 def bags_to_lerobot(
     bags: Sequence[Path],
     folder: Path,
@@ -188,7 +196,7 @@ def bags_to_lerobot(
     topics: Callable[[Path], Topics],
     joints: str | None = None,
     is_video: bool = False,
-    task: str,
+    task: str = TASK,
 ) -> int:
     """Write bags as the episodes of a new data set, and return the number of its frames.
 
@@ -207,8 +215,7 @@ def bags_to_lerobot(
         ValueError: a bag cannot be read, or holds other channels than the first.
         OSError: no room; the episodes before are whole.
     """
-    if folder.exists():
-        raise FileExistsError(f"{folder} exists already; give another path or remove it")
+    check_absent(folder)
     writer: LeRobotWriter | None = None
     for path in bags:
         recording = read_recording(path, topics(path), joints)

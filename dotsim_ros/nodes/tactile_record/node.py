@@ -29,6 +29,8 @@ from rclpy.utilities import try_shutdown
 
 from dotsim_ros.data.bag import PARTIAL, unfinished_path
 from dotsim_ros.data.bag_metadata import METADATA
+from dotsim_ros.data.lerobot.bags import TASK, bags_to_lerobot, check_absent
+from dotsim_ros.data.lerobot.writer import check_installed
 from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.quantity import check_fields, quantity
 from dotsim_ros.nodes.common.declare import declare
@@ -42,6 +44,7 @@ from dotsim_ros.nodes.tactile_record.recording import (
     BagRecording,
     RecordingSummary,
 )
+from dotsim_ros.view.timeline import bag_topics
 from msg_adapters import Level, message_class
 
 SENSOR_TOPICS = {
@@ -78,6 +81,9 @@ class RecordParameters:
     output: str = quantity("", is_path=True)
     """folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the recording ends
     it has .partial behind its name"""
+    lerobot: str = quantity("", is_path=True)
+    """folder of a LeRobotDataset that the bag is converted to at the end, which must not exist
+    (empty: none); the bag stays"""
     topics: tuple[str, ...] = quantity(
         tuple(name for name in SENSOR_TOPICS if name != "image_raw/compressed")
     )
@@ -140,6 +146,9 @@ class TactileRecord(WorkingNode):
         super().__init__("tactile_record")
         self._settings = declare(self, RecordParameters)
         self._path = Path(self._settings.output or f"tactile_{datetime.now():%Y%m%d_%H%M%S}")
+        if self._settings.lerobot:
+            check_installed()
+            check_absent(Path(self._settings.lerobot))
         named = self._settings.message_types()
         for kind in named.values():
             _check_stamped(kind)
@@ -245,6 +254,21 @@ class TactileRecord(WorkingNode):
                 f"wrote {count} messages to {self._path} ({_by_topic(summary.written)}); "
                 f"{sum(summary.dropped.values())} dropped, {self._lost} lost on the way"
             )
+            if self._settings.lerobot:
+                self._convert(Path(self._settings.lerobot))
+
+    def _convert(self, folder: Path) -> None:
+        """Make a data set of the bag, which stays whatever happens here."""
+        logger = get_logger("dotsim_ros.tactile_record")
+        try:
+            count = bags_to_lerobot(
+                [self._path], folder, logger.warning, topics=bag_topics, task=TASK
+            )
+        except (ValueError, OSError) as error:
+            self.exit_status = 1
+            logger.error(f"no data set was made of {self._path}, which is whole: {error}")
+        else:
+            logger.info(f"wrote {count} frames to {folder}")
 
     def _health(self, recording: BagRecording) -> Report:
         summary = recording.summary()
