@@ -23,12 +23,14 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from dotsim_ros.gel.batched.gel import BatchedGel, Grid
+from dotsim_ros.gel.batched.gel import BatchedGel
+from dotsim_ros.gel.batched.memory import TABLE_BYTES, Grid, expect_room
 from dotsim_ros.gel.clearance import Clearance
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.camera import Camera, middle_part
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.markers import PrintedMarkers
+from dotsim_ros.io.warp_runtime import known_device, on_torch_stream
 from dotsim_ros.optics.batched import BatchedImages, BatchedRenderer
 from dotsim_ros.optics.idle import part_of_idle
 from dotsim_ros.optics.network import completion_network
@@ -43,15 +45,8 @@ AWAY_M = 5.0e-3
 """From the gel to an indenter that is away, at least."""
 SMALLEST_NORM = 1.0e-6
 """Of a quaternion."""
-TABLE_BYTES: dict[Grid, float] = {"default": 1.0e9, "fine": 1.6e9}
-"""Of the tables that all gels share, by their grid."""
-VECTORS_A_MARKER = 50
-"""What a gel keeps and computes with, in vectors (3 numbers of single precision) for each marker of
-its skin..."""
-GRID_BYTES: dict[Grid, float] = {"default": 0.0, "fine": 10.0e6}
-"""...more on a finer grid..."""
-CONTACT_BYTES = 60.0e6
-"""...and on a GPU, where all gels solve their contact at once, for that."""
+PIXEL_BYTES = 8 + 4 + 2 * (4 + 12)
+"""Of z-buffer, triangle, and depth and normal twice: the renderer's and the frame's."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +128,7 @@ class TactileArray:
             raise ValueError(f"count is {count}, expected at least one sensor")
         if min(image_size) < 1:
             raise ValueError(f"image_size is {image_size}, expected a width and a height in pixels")
+        device = known_device(device)
         specification = given_sensor(sensor)
         skin = skin_of(specification.gel)
         markers = None
@@ -141,7 +137,8 @@ class TactileArray:
         marker_count = 0 if markers is None else len(markers.corner)
         if grid not in TABLE_BYTES:
             raise ValueError(f"grid is {grid!r}, expected {' or '.join(TABLE_BYTES)}")
-        _check_memory(count, skin.vertex_count, image_size, marker_count, grid, device)
+        image_bytes = PIXEL_BYTES * image_size[0] * image_size[1] + 16.0 * marker_count
+        expect_room(count, skin.vertex_count, grid, device, image_bytes=image_bytes, what="sensors")
         each = _each_of(indenters, count)
         self.count, self.device = count, device
         self._specification, self._skin_mesh, self._markers = specification, skin, markers
@@ -193,6 +190,7 @@ class TactileArray:
                 setattr(self, name, torch.where(chosen, value, getattr(self, name)))
         self._renderer.render(self._skin_m)
 
+    @on_torch_stream
     def step(
         self,
         position_m: ArrayLike | torch.Tensor,
@@ -211,6 +209,8 @@ class TactileArray:
 
         Raises:
             ValueError: another shape, what is no number, or a duration that is not positive.
+            DeviceError: the device lacks memory or has failed; the sensors are as they were after
+                the last part of their way that was solved, and go on from there if it works again.
         """
         if not dt_s > 0.0:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
@@ -228,8 +228,9 @@ class TactileArray:
         position, quaternion = position * nearness.clamp(max=1.0), quaternion / norm
         position, quaternion = self._or_last(is_valid, position, quaternion)
         is_valid &= self._clearance.suffices(self._position_m, position, quaternion)
-        self._position_m, self._quaternion = self._or_last(is_valid, position, quaternion)
-        state = self._gel.step(self._position_m, self._quaternion, dt_s)
+        position, quaternion = self._or_last(is_valid, position, quaternion)
+        state = self._gel.step(position, quaternion, dt_s)
+        self._position_m, self._quaternion = position, quaternion
         is_valid &= torch.isfinite(state.left_m)
         changed = is_valid[:, None]
         self._skin_m = torch.where(changed[:, None], state.skin_position_m, self._skin_m)
@@ -247,6 +248,7 @@ class TactileArray:
             state.left_m < self._gel.effort.tolerance_m,
         )
 
+    @on_torch_stream
     def image(self) -> torch.Tensor:
         """Return the images (B, H, W, 3) of the last frame, uint8, red, green, blue: those of
         `TactileSensor` but for what their noise is drawn by.
@@ -351,40 +353,3 @@ def _checked(values: ArrayLike | None, name: str, *, least: float) -> np.ndarray
     if not np.all(np.isfinite(result) & (result >= least)):
         raise ValueError(f"{name} holds {result.min()}, expected finite numbers from {least:g} on")
     return result
-
-
-def _check_memory(
-    count: int,
-    vertex_count: int,
-    size: tuple[int, int],
-    marker_count: int,
-    grid: Grid,
-    device: str,
-) -> None:
-    """Refuse more sensors than fit into the free memory of a device, before any is taken.
-
-    Raises:
-        ValueError: they do not fit, or there is no such device.
-    """
-    on_gpu = torch.device(device).type == "cuda"
-    if on_gpu and not torch.cuda.is_available():
-        raise ValueError(f'device is {device!r}, and torch finds no GPU that it can use; try "cpu"')
-    free = torch.cuda.mem_get_info(device)[0] if on_gpu else _free_host_bytes()
-    # z-buffer, triangle, and depth and normal twice: the renderer's and the frame's.
-    pixel = 8 + 4 + 2 * (4 + 12)
-    each = 12.0 * VECTORS_A_MARKER * vertex_count + pixel * size[0] * size[1] + 16 * marker_count
-    each += GRID_BYTES[grid] + (CONTACT_BYTES if on_gpu else 0.0)
-    tables = TABLE_BYTES[grid]
-    fitting = max(0, int((free - tables) / each))
-    if count > fitting:
-        raise ValueError(
-            f"{count} sensors take about {(tables + count * each) / 1e9:.1f} GB, and {device} "
-            f"has {free / 1e9:.1f} GB free: at most {fitting} fit"
-        )
-
-
-def _free_host_bytes() -> float:
-    """Return the memory that the system can give to programs."""
-    lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-    kilobytes = dict(line.split(":", 1) for line in lines)["MemAvailable"]
-    return 1024.0 * float(kilobytes.split()[0])

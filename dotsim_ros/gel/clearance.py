@@ -13,7 +13,7 @@ import torch
 from dotsim_ros.gel.batched.kernels import IndenterField, indenter_distance
 from dotsim_ros.gel.implicit.gel import CORE_CLEARANCE_M, rigid_points_m
 from dotsim_ros.gel.make import body_of
-from dotsim_ros.io.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import on_torch_stream, wp
 from dotsim_ros.specification import GelSpecification
 
 PLACES = 4
@@ -51,8 +51,9 @@ class Clearance:
     def __init__(self, gel: GelSpecification, field: Any, device: str) -> None:
         points = torch.as_tensor(rigid_points_m(body_of(gel)), dtype=torch.float32, device=device)
         self._point = wp.from_torch(points, dtype=wp.vec3)
-        self._field = field
+        self._field, self.device = field, device
 
+    @on_torch_stream
     def suffices(
         self, start_m: torch.Tensor, end_m: torch.Tensor, quaternion_xyzw: torch.Tensor
     ) -> torch.Tensor:
@@ -75,6 +76,6 @@ class Clearance:
                 PLACES,
             ],
             outputs=[wp.from_torch(distance)],
-            device=self._field.device,
+            device=self.device,
         )
         return distance >= CORE_CLEARANCE_M

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.markers import PrintedMarkers
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.io.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import on_torch_stream, wp
 from dotsim_ros.optics import batched_kernels as kernels
 from dotsim_ros.optics.idle import IdleFrame
 from dotsim_ros.optics.image import Completion, ImageRenderer, direct_light
@@ -103,6 +103,7 @@ class BatchedRenderer:
     def _upload(self, array: NDArray[Any], dtype: Any) -> Any:
         return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self.device)
 
+    @on_torch_stream
     def render(self, skin_position_m: torch.Tensor) -> BatchView:
         """Return what the camera sees.
 

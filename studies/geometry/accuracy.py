@@ -27,7 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.gel.batched.gel import BatchedGel, Grid
+from dotsim_ros.gel.batched.gel import BatchedGel
+from dotsim_ros.gel.batched.memory import Grid
 from dotsim_ros.gel.implicit.contact_points import ContactPoints
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.make import body_of, material_of, skin_of

@@ -98,9 +98,9 @@ def test_friction_and_stiffness_are_those_of_each_gel(indenters):
     )
     step(gel, [pressed(1.0e-3)] * 3)
     slid = step(gel, [pressed(1.0e-3, 0.5e-3)] * 3)
-    # The shape does not depend on Young's modulus, the forces are proportional to it; single
-    # precision leaves a force of a stiff contact in its fourth digit.
-    np.testing.assert_allclose(slid.skin_position_m[2], slid.skin_position_m[1], atol=1e-7)
+    # The shape does not depend on Young's modulus, the forces are proportional to it; gels round
+    # by their places in the batch, which leaves a force of a stiff contact in its fourth digit.
+    np.testing.assert_allclose(slid.skin_position_m[2], slid.skin_position_m[1], atol=5e-7)
     np.testing.assert_allclose(slid.force_n[2], 2.5 * slid.force_n[1], rtol=5e-4)
     # Without friction the force points to the middle of the sphere that presses: through the
     # pose's origin plus the sphere's centre, so the moment about that centre vanishes.

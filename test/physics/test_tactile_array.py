@@ -20,6 +20,7 @@ import torch
 
 from dotsim_ros import tactile_array
 from dotsim_ros.gel.batched.gel import BatchedGel
+from dotsim_ros.io.warp_runtime import DeviceError, wp
 from dotsim_ros.tactile_array import TactileArray
 
 INDENTERS = {
@@ -202,9 +203,25 @@ def test_what_is_no_pose_for_each_sensor_is_refused(arrays):
         TactileArray("densetact2", 0)
     with pytest.raises(ValueError, match=r"friction holds -0\.5"):
         TactileArray("densetact2", 2, friction=[-0.5, 0.2])
-    if not torch.cuda.is_available():
-        with pytest.raises(ValueError, match="torch finds no GPU"):
-            TactileArray("densetact2", 2, device="cuda")
+
+
+def test_a_device_that_fails_says_so_in_a_line_and_the_sensors_go_on(arrays, monkeypatch):
+    array = arrays("densetact2")
+    turn = torch.tensor([[0.0, 0.0, 0.0, 1.0]]).repeat(3, 1)
+    position = torch.from_numpy(places(array, 3e-4))
+    with monkeypatch.context() as broken:
+
+        def launch(*given, **named):
+            raise RuntimeError("CUDA error: an illegal memory access\nCompile with TORCH_USE_CUDA")
+
+        broken.setattr(wp, "launch", launch)
+        with pytest.raises(DeviceError) as refused:
+            array.step(position, turn)
+    assert str(refused.value).startswith("cpu failed: CUDA error: an illegal memory access; with")
+    assert "\n" not in str(refused.value)
+    frame = array.step(position, turn)
+    assert frame.is_valid.all()
+    assert frame.converged.all()
 
 
 def test_more_sensors_than_fit_are_refused_before_any_memory_is_taken(monkeypatch):

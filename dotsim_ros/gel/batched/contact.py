@@ -20,10 +20,8 @@ import torch
 from dotsim_ros.gel.batched import kernels
 from dotsim_ros.io.warp_runtime import wp
 
-KRYLOV = 8
-"""Steps of GMRES at most."""
 FORCING = 0.03
-"""On a CPU it ends where its residual is below this share of the right hand side."""
+"""GMRES ends where its residual is below this share of the right hand side."""
 LARGEST_STEP_M = 0.3e-3
 """No Newton step moves a marker farther."""
 LEAST_FORCE_N = 1.0e-12
@@ -112,9 +110,10 @@ def solve_contact(
         guess_m: (B, K, 3) where the markers may come to lie. The contact is so stiff that where
             forces take them says little of who touches.
         newton_steps: at most.
-        tolerance_m: on a CPU it ends where no marker moves farther; 0 never.
+        tolerance_m: it ends where no marker moves farther. With 0 every count is fixed, and nothing
+            is read from the device.
     """
-    problem = _Problem(markers, compliance, base_m)
+    problem = _Problem(markers, compliance, base_m, may_stop=tolerance_m > 0.0)
     force = force_n
     moved = problem.moved_by(force)
     problem.answer_at(guess_m)
@@ -138,11 +137,11 @@ def solve_contact(
 class _Problem:
     """The linear gels with the indenters' answers at the markers' present positions."""
 
-    def __init__(self, markers: Markers, compliance: torch.Tensor, base_m: torch.Tensor) -> None:
-        self._compliance, self._base_m = compliance, base_m
+    def __init__(
+        self, markers: Markers, compliance: torch.Tensor, base_m: torch.Tensor, *, may_stop: bool
+    ) -> None:
+        self._compliance, self._base_m, self.may_stop = compliance, base_m, may_stop
         count, k, _ = base_m.shape
-        # To read a value costs a synchronisation elsewhere.
-        self.may_stop = base_m.device.type == "cpu"
         self.position_m = torch.empty_like(base_m)
         self.answer_n, self.slip_m = torch.empty_like(base_m), torch.empty_like(base_m)
         self._stiffness = base_m.new_empty(count, k, 3, 3)
@@ -215,37 +214,33 @@ class _Problem:
         is_nothing = right.abs().amax(dim=(1, 2), keepdim=True) < LEAST_FORCE_N
         flat = torch.where(is_nothing, 0.0, right).reshape(count, -1)
         size = flat.norm(dim=1).clamp(min=1e-30)
-        basis = flat.new_empty(count, KRYLOV + 1, flat.shape[1])
+        basis = flat.new_empty(count, kernels.KRYLOV + 1, flat.shape[1])
         basis[:, 0] = flat / size[:, None]
-        hessenberg = flat.new_zeros(count, KRYLOV + 1, KRYLOV)
-        for k in range(KRYLOV):
+        hessenberg = flat.new_zeros(count, kernels.KRYLOV + 1, kernels.KRYLOV)
+        share, residual = flat.new_empty(count, kernels.KRYLOV), torch.empty_like(size)
+        for k in range(kernels.KRYLOV):
             vector = basis[:, k]
             moved = self.moved_by(vector.view(shape))
             image = vector + self.stiffness_times(moved).view(count, -1)
             known = basis[:, : k + 1]
             # Twice is enough for orthogonality to the last bits.
             for _ in range(2):
-                share = torch.bmm(image[:, None], known.transpose(1, 2))
-                image = image - torch.bmm(share, known)[:, 0]
-                hessenberg[:, : k + 1, k] += share[:, 0]
+                along = torch.bmm(image[:, None], known.transpose(1, 2))
+                image = image - torch.bmm(along, known)[:, 0]
+                hessenberg[:, : k + 1, k] += along[:, 0]
             length = image.norm(dim=1)
             hessenberg[:, k + 1, k] = length
             basis[:, k + 1] = image / length.clamp(min=1e-30)[:, None]
             done = k + 1
-            if done == KRYLOV or (self.may_stop and done >= 3):
-                q, r = torch.linalg.qr(hessenberg[:, : done + 1, :done], mode="complete")
-                # What is left of e_1, in shares of the right hand side.
-                if self.may_stop and bool((q[:, 0, -1].abs() < FORCING).all()):
-                    break
-        share = _least_squares(q, r, size)
-        return torch.bmm(share.transpose(1, 2), basis[:, :done]).view(shape)
-
-
-def _least_squares(q: torch.Tensor, r: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
-    """Return x (B, k, 1) with the least |size e_1 - q r x|."""
-    turned = size[:, None, None] * q[:, :1].transpose(1, 2)
-    diagonal = r.diagonal(dim1=1, dim2=2)
-    tiny = 1e-7 * diagonal.abs().amax(dim=1, keepdim=True).clamp(min=1e-30)
-    filled = torch.where(diagonal.abs() < tiny, tiny, 0.0)
-    square = r[:, :-1] + torch.diag_embed(filled)
-    return torch.linalg.solve_triangular(square, turned[:, :-1], upper=True)
+            if done < kernels.KRYLOV and not (self.may_stop and done >= 3):
+                continue
+            wp.launch(
+                kernels.least_squares,
+                dim=count,
+                inputs=[wp.from_torch(hessenberg), wp.from_torch(size), done],
+                outputs=[wp.from_torch(share), wp.from_torch(residual)],
+                device=str(right.device),
+            )
+            if self.may_stop and bool((residual < FORCING * size).all()):
+                break
+        return torch.bmm(share[:, None, :done], basis[:, :done]).view(shape)

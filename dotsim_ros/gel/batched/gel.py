@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,6 +25,7 @@ import torch
 from dotsim_ros.gel.batched import kernels
 from dotsim_ros.gel.batched.contact import Contact, Markers, matrices, solve_contact, vectors
 from dotsim_ros.gel.batched.elastic import ElasticForces
+from dotsim_ros.gel.batched.memory import TOGETHER, Grid, expect_room
 from dotsim_ros.gel.batched.mixing import Mixing
 from dotsim_ros.gel.batched.relaxation import Relaxation
 from dotsim_ros.gel.batched.rest_compliance import RestCompliance, kept_blocks
@@ -39,12 +40,9 @@ from dotsim_ros.gel.make import body_of, bond_of, material_of, skin_of
 from dotsim_ros.gel.material import small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.io.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import known_device, on_torch_stream, wp
 from dotsim_ros.specification import SensorSpecification
 
-Grid = Literal["default", "fine"]
-"""The sensor's own grid with its refinement, or one of half the spacing, that of the refinement,
-for the whole gel."""
 LARGEST_MOVE_M = 0.6e-3
 """The indenter moves no farther in a substep, nor than twice its depth in the gel at rest..."""
 TOUCH_SHARE = 0.05
@@ -53,7 +51,8 @@ NEAR_M = 0.1e-3
 """Markers that are expected nearer to the indenter than this, and than what of its motion was not
 expected, may touch in a substep."""
 MISSED_M = 20.0e-6
-"""On a CPU, a substep in which another marker goes deeper into the indenter is solved again..."""
+"""Unless counts are fixed, a substep in which another marker goes deeper into the indenter is
+solved again..."""
 TRIALS = 3
 """...so often at most."""
 LEVER_M = 3.0e-3
@@ -73,8 +72,8 @@ FIRST_STEPS = 2
 """A substep's first contact problem takes so many times the Newton steps of the others."""
 ADVANCES = 12
 """Steps along a way until the first touch."""
-CHUNK = 8
-"""So many gels solve their contact together on a CPU."""
+MOST_NODES = 384
+"""With fixed counts, contact problems know so many nodes of a grid around the markers."""
 _STATE = (
     "_u_m",
     "_u_change_m",
@@ -87,7 +86,7 @@ _STATE = (
     "_gap_m",
     "_origin_m",
     "_move_m",
-    "_rotation",
+    "_quaternion",
     "_is_touching",
     "_is_placed",
     "_force_n",
@@ -125,9 +124,9 @@ class Effort:
     Attributes:
         outer: steps of the fixed point at most.
         newton: steps of each contact problem at most.
-        tolerance_m: a gel that moves no farther is done; on a CPU it is left out, and the contact
-            problems end early. 0 for fixed counts.
-        markers: that may touch an indenter, on a GPU; on a CPU as many as do.
+        tolerance_m: a gel that moves no farther is done: it is left out, and contact problems end
+            early. 0 for fixed counts: the host then reads one number a frame, that of substeps.
+        markers: that may touch an indenter with fixed counts, otherwise as many as do.
     """
 
     outer: int = 24
@@ -151,12 +150,13 @@ class BatchedGel:
         device: torch's name of the device.
 
     Attributes:
+        device: the name that torch and Warp have for it.
         rest_position_m: (V, 3) of the skin's markers.
         field: Warp array (B,) of the indenters as kernels know them, `IndenterField`.
 
     Raises:
-        ValueError: an argument of another length than B or that is not finite or below 0, or a gel
-            with inertia.
+        ValueError: an argument of another length than B or that is not finite or below 0, no such
+            device, more gels than fit into its memory, or a gel with inertia.
     """
 
     def __init__(
@@ -174,11 +174,13 @@ class BatchedGel:
         s = specification
         if s.solver.dynamic:
             raise ValueError("solver.dynamic is given; a batched gel has no inertia: leave it out")
+        device = known_device(device)
         self.count, self.device, self.effort = count, device, effort or Effort()
         material, body, mesh = material_of(s.material), body_of(s.gel), skin_of(s.gel)
         law = material.law
         is_fine = grid == "fine"
         spacing_m = s.solver.grid_spacing_m * (0.5 if is_fine else 1.0)
+        expect_room(count, mesh.vertex_count, grid, device)
         d = discretize(body, mesh.rest_position_m, spacing_m)
         self._spacing_m = d.spacing_m
         bond = bond_of(s.gel)
@@ -194,13 +196,13 @@ class BatchedGel:
             table = refine(body, skin_m, d, lambda: kept_compliance(body, skin_m, d, law), law)
             fine = stencils_of(table.skin_weight, device), table
         self._rest_m = torch.as_tensor(mesh.rest_position_m, dtype=torch.float32, device=device)
-        self._reach_m = float(np.ptp(mesh.rest_position_m, axis=0).max())
         self._all_at_rest_m = self._rest_m.expand(count, -1, 3).contiguous()
         weights = d.skin_interpolation.matrix(d.node_count)
         self._skin = Skin(self._rest_m, stencils_of(weights, device), self._rest, fine)
         self._area_m2 = torch.as_tensor(mesh.rest_area_m2, dtype=torch.float32, device=device)
         self._on_base = torch.as_tensor(mesh.on_base, device=device)
         self._node_count = d.node_count
+        self._reach_m = float(np.ptp(mesh.rest_position_m, axis=0).max())
         self.rest_position_m = mesh.rest_position_m.astype(np.float32)
         self._youngs_pa, _ = small_strain_moduli_pa(law)
         self._contact_specification = s.contact
@@ -255,7 +257,7 @@ class BatchedGel:
         self._local_m, self._local_change_m = zeros(b, v, 3), zeros(b, v, 3)
         self._gap_m = torch.full((b, v), torch.inf, device=self.device)
         self._origin_m, self._move_m = zeros(b, 3), zeros(b, 3)
-        self._rotation = torch.eye(3, device=self.device).expand(b, 3, 3)
+        self._quaternion = zeros(b, 4)
         self._is_touching = torch.zeros(b, dtype=torch.bool, device=self.device)
         self._is_placed = torch.zeros(b, dtype=torch.bool, device=self.device)
         self._force_n, self._torque_nm = zeros(b, 3), zeros(b, 3)
@@ -263,12 +265,16 @@ class BatchedGel:
         if gels is None:
             memory = min(MEMORY_SHARE * self.effort.outer, MEMORY)
             self._mixing = Mixing(b, 3 * n, memory, self.device)
+            self._given: tuple[torch.Tensor, ...] | None = None
+            self._graph: Any = None
             return
         self._mixing.forget(gels)
         for name, value in before.items():
             rest = getattr(self, name)
-            setattr(self, name, torch.where(_mask(name, gels, rest), rest, value))
+            value.copy_(torch.where(_mask(name, gels, rest), rest, value))
+            setattr(self, name, value)
 
+    @on_torch_stream
     def step(
         self, position_m: FloatArray, quaternion_xyzw: FloatArray, dt_s: float = 0.04
     ) -> BatchState:
@@ -281,12 +287,15 @@ class BatchedGel:
         """
         target = torch.as_tensor(position_m, dtype=torch.float32, device=self.device)
         quaternion = torch.as_tensor(quaternion_xyzw, dtype=torch.float32, device=self.device)
+        quaternion = torch.nn.functional.normalize(quaternion, dim=1)
         turn = rotation_of(quaternion)
         is_new = ~self._is_placed[:, None]
         start = torch.where(is_new, target + self._reach_m * turn[:, :, 2], self._origin_m)
-        start_turn = torch.where(is_new[:, None], turn, self._rotation)
-        self._origin_m, self._rotation = start, start_turn
-        self._is_placed = torch.ones_like(self._is_placed)
+        start_quaternion = torch.where(is_new, quaternion, self._quaternion)
+        start_turn = rotation_of(start_quaternion)
+        self._origin_m.copy_(start)
+        self._quaternion.copy_(start_quaternion)
+        self._is_placed.fill_(True)
         # A turn moves the skin as well.
         way = (target - start).norm(dim=1) + LEVER_M * angle_between(start_turn, turn)
         # From the air, only the way after the first touch counts.
@@ -303,20 +312,43 @@ class BatchedGel:
             if self._relaxation is not None:
                 self._relaxation.begin(dt_s / moves)
             share = (touch + (1.0 - touch) * number / moves).clamp(max=1.0)
-            between = nearest_rotation(start_turn + share[:, None, None] * (turn - start_turn))
-            is_last = number >= moves
-            self._substep(
-                torch.where(is_last[:, None], target, start + share[:, None] * (target - start)),
-                torch.where(is_last[:, None, None], turn, between),
+            is_last = (number >= moves)[:, None]
+            self._advance(
+                torch.where(is_last, target, start + share[:, None] * (target - start)),
+                torch.where(is_last, quaternion, between(start_quaternion, quaternion, share)),
                 number <= moves,
             )
         return BatchState(
-            self._skin_m,
+            self._skin_m.clone(),
             self._factor * self._force_n,
             self._factor * self._torque_nm,
-            self._penetration_m,
-            self._left_m,
+            self._penetration_m.clone(),
+            self._left_m.clone(),
         )
+
+    def _advance(self, *given: torch.Tensor) -> None:
+        """Make a substep; on a GPU with fixed counts the second one after a reset is recorded, and
+        replayed from then on: nothing in it reads a value or depends on one but by its kernels."""
+        # What relaxation remembers has other memory in each substep.
+        if self.device == "cpu" or self._may_stop or self._relaxation is not None:
+            self._substep(*given)
+        elif self._given is None:
+            # What is done for the first time, such as to load kernels, cannot be recorded.
+            self._substep(*given)
+            self._given = tuple(value.clone() for value in given)
+        else:
+            for kept, value in zip(self._given, given, strict=True):
+                kept.copy_(value)
+            if self._graph is None:
+                self._graph = torch.cuda.CUDAGraph()
+                stream = torch.cuda.Stream(self.device)
+                with torch.cuda.device(self.device), torch.cuda.graph(self._graph, stream=stream):
+                    self._recorded_substep(*self._given)
+            self._graph.replay()
+
+    @on_torch_stream
+    def _recorded_substep(self, *given: torch.Tensor) -> None:
+        self._substep(*given)
 
     def _touch_share(
         self, start_m: torch.Tensor, end_m: torch.Tensor, rotation: torch.Tensor
@@ -324,7 +356,7 @@ class BatchedGel:
         """Return the share (B,) of a straight way before which no indenter touches the gel at rest;
         0 where one does already. Its distance is a way that touches nothing."""
         share = torch.zeros(self.count, device=self.device)
-        if self._on_host and bool(self._is_touching.all()):
+        if self._may_stop and bool(self._is_touching.all()):
             return share
         way = (end_m - start_m).norm(dim=1).clamp(min=1e-12)
         for _ in range(ADVANCES):
@@ -335,9 +367,9 @@ class BatchedGel:
         return torch.where(self._is_touching, 0.0, share)
 
     @property
-    def _on_host(self) -> bool:
-        """Whether to read a value costs no synchronisation."""
-        return self.device == "cpu"
+    def _may_stop(self) -> bool:
+        """Whether values are read to end early; else every count is fixed."""
+        return self.effort.tolerance_m > 0.0
 
     def _distance(
         self, position_m: torch.Tensor, origin_m: torch.Tensor, rotation: torch.Tensor
@@ -373,14 +405,15 @@ class BatchedGel:
         return self._skin_distance(self._all_at_rest_m, origin_m, rotation).amin(dim=1)
 
     def _substep(
-        self, origin_m: torch.Tensor, rotation: torch.Tensor, is_moving: torch.Tensor
+        self, origin_m: torch.Tensor, quaternion: torch.Tensor, is_moving: torch.Tensor
     ) -> None:
-        """Advance the gels that move to new poses (B, 3), (B, 3, 3) of their indenters."""
+        """Advance the gels that move to new poses (B, 3), (B, 4) of their indenters."""
+        rotation = rotation_of(quaternion)
         touches = self._rest_gap(origin_m, rotation) < ONSET_M
         begins = touches & ~self._is_touching
         fresh = begins[:, None, None]
         here = _to_local(self._skin_m, origin_m, rotation)
-        self._local_m = torch.where(fresh, here, self._local_m)
+        self._local_m.copy_(torch.where(fresh, here, self._local_m))
         share = self._share_of_last_move(origin_m, begins)
         in_contact = touches[:, None, None]
         # A gel that relaxes goes on moving when nothing touches it any more.
@@ -403,10 +436,11 @@ class BatchedGel:
             gap = self._skin_distance(skin, origin_m, rotation)
             others = gap.scatter(1, markers.index, torch.inf).amin(dim=1)
             missed = touches & is_moving & (others < -MISSED_M)
-            if not self._on_host or not bool(missed.any()):
+            if not self._may_stop or not bool(missed.any()):
                 break
             near_m = near_m + torch.where(missed, near_m - others, 0.0)
-        self._finish(u, skin, gap, force, markers, contact, left, touches, is_moving)
+        pose = origin_m, quaternion
+        self._finish(u, skin, gap, force, markers, contact, left, touches, is_moving, pose)
 
     def _share_of_last_move(self, origin_m: torch.Tensor, begins: torch.Tensor) -> torch.Tensor:
         """Return how much of the last substep's motion this one repeats (B,)."""
@@ -423,13 +457,13 @@ class BatchedGel:
         near_m: torch.Tensor,
     ) -> tuple[Markers, torch.Tensor]:
         """Return the markers that are expected nearest to the indenters, the nearest first, and how
-        many of them each gel needs (B,): on a CPU those that are nearer than (B,)."""
+        many of them each gel needs (B,): those nearer than (B,), unless counts are fixed."""
         expected = self._skin_m + share[:, None, None] * self._skin_change_m
         distance = self._skin_distance(expected, origin_m, rotation)
         every = torch.arange(self.count, dtype=torch.int32, device=self.device)
         count = min(self.effort.markers, distance.shape[1])
         needed = torch.full_like(every, count)
-        if self._on_host:
+        if self._may_stop:
             needed = (distance < near_m[:, None]).sum(dim=1)
             count = rounded_up(int(needed.max()), distance.shape[1])
         index = torch.topk(distance, count, dim=1, largest=False).indices
@@ -454,7 +488,7 @@ class BatchedGel:
         local = markers.start_position_m + slide
         guess = _to_base(local, markers.origin_m, markers.rotation)
         is_far = slide.norm(dim=2) > FAR_SLIDE_M
-        if self._on_host and not bool(is_far.any()):
+        if self._may_stop and not bool(is_far.any()):
             return guess
         # It is as deep as those were that it meets there.
         before = torch.gather(self._gap_m, 1, markers.index)
@@ -484,13 +518,13 @@ class BatchedGel:
             markers: that may touch.
             needed: (B,) how many of them.
             guess_m: (B, K, 3) where the markers may come to lie.
-            is_solved: (B,) of which gels; on a GPU, of all.
+            is_solved: (B,) of which gels; with fixed counts, of all.
         """
         effort = self.effort
         whole = _untouched(guess_m)
         left = torch.zeros(self.count, device=self.device)
         gels = torch.arange(self.count, device=self.device)
-        if self._on_host:
+        if self._may_stop:
             # Gels with about as many markers are solved together.
             gels = is_solved.nonzero()[:, 0]
             gels = gels[needed[gels].argsort(stable=True)]
@@ -498,7 +532,8 @@ class BatchedGel:
         result, u, force, guess = u_m.clone(), u_m, markers.gather(self._marker_force_n), guess_m
         u, force, guess = u[:, :, gels], force[gels], guess[gels]
         self._mixing.begin()
-        self._mixing.keep(gels)
+        if self._may_stop:
+            self._mixing.keep(gels)
         is_done = torch.zeros_like(gels, dtype=torch.bool)
         for outer in range(effort.outer if len(gels) else 0):
             index = markers.index[gels]
@@ -519,7 +554,7 @@ class BatchedGel:
             for name in Contact.__dataclass_fields__:
                 getattr(whole, name)[gels] = getattr(contact, name)
             is_done = is_done | (largest < effort.tolerance_m)
-            if self._on_host and bool(is_done.any()):
+            if self._may_stop and bool(is_done.any()):
                 number = (~is_done).nonzero()[:, 0]
                 if not len(number):
                     break
@@ -534,10 +569,14 @@ class BatchedGel:
     ) -> list[tuple[Markers, torch.Tensor]]:
         """Return the markers of gels that are solved together, with their compliances."""
         parts = []
-        for some in gels.split(CHUNK if self._on_host else self.count) if len(gels) else ():
-            count = rounded_up(int(needed[some].max()), markers.index.shape[1])
+        together = TOGETHER[torch.device(self.device).type]
+        for some in gels.split(together) if len(gels) else ():
+            count = markers.index.shape[1]
+            if self._may_stop:
+                count = rounded_up(int(needed[some].max()), count)
             part = markers.part(some, count)
-            parts.append((part, self._skin.compliance(part.index)))
+            node_limit = None if self._may_stop else MOST_NODES
+            parts.append((part, self._skin.compliance(part.index, node_limit)))
         return parts
 
     def _solve_contact(
@@ -579,6 +618,7 @@ class BatchedGel:
         left_m: torch.Tensor,
         touches: torch.Tensor,
         is_moving: torch.Tensor,
+        pose: tuple[torch.Tensor, torch.Tensor],
     ) -> None:
         """Remember a substep of the gels that moved; those that nothing touches are at rest, those
         that diverged stay as they were."""
@@ -598,15 +638,15 @@ class BatchedGel:
             "_u_change_m": torch.where(keeps, u - self._u_m, 0.0),
             "_skin_change_m": change(skin, self._skin_m),
             "_local_change_m": change(local, self._local_m),
-            "_move_m": markers.origin_m - self._origin_m,
+            "_move_m": pose[0] - self._origin_m,
             "_u_m": u,
             "_skin_m": skin,
             "_local_m": local,
             "_marker_force_n": zeros.scatter(1, three, force),
             "_slip_m": torch.where(in_contact, zeros.scatter(1, three, contact.slip_m), 0.0),
             "_gap_m": gap,
-            "_origin_m": markers.origin_m,
-            "_rotation": markers.rotation,
+            "_origin_m": pose[0],
+            "_quaternion": pose[1],
             "_force_n": -force.sum(dim=1),
             "_torque_nm": -torque,
             "_penetration_m": torch.where(touches, deepest, 0.0),
@@ -617,13 +657,14 @@ class BatchedGel:
         diverged, is_moving = is_moving & ~is_finite, is_moving & is_finite
         if self._relaxation is not None:
             self._relaxation.finish(u, is_moving)
-        if not self._on_host or not bool(is_moving.all()):
+        if not self._may_stop or not bool(is_moving.all()):
             for name, value in new.items():
                 before = getattr(self, name)
                 new[name] = torch.where(_mask(name, is_moving, before), value, before)
+        # A graph knows the memory that the state has.
         for name, value in new.items():
-            setattr(self, name, value)
-        self._left_m = torch.where(diverged, torch.inf, self._left_m)
+            getattr(self, name).copy_(value)
+        self._left_m.masked_fill_(diverged, torch.inf)
 
 
 def _untouched(position_m: torch.Tensor) -> Contact:
@@ -700,9 +741,8 @@ def angle_between(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     return ((trace - 1.0) / 2.0).clamp(-1.0, 1.0).arccos()
 
 
-def nearest_rotation(matrix: torch.Tensor) -> torch.Tensor:
-    """Return the rotations (B, 3, 3) that are nearest to matrices, as those between two poses."""
-    u, _, v = torch.linalg.svd(matrix)
-    sign = torch.linalg.det(u @ v)
-    u = torch.cat([u[:, :, :2], sign[:, None, None] * u[:, :, 2:]], dim=2)
-    return u @ v
+def between(start: torch.Tensor, end: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
+    """Return the quaternions (B, 4) at shares (B,) of the shorter turns between unit ones."""
+    is_opposite = (start * end).sum(dim=1, keepdim=True) < 0.0
+    end = torch.where(is_opposite, -end, end)
+    return torch.nn.functional.normalize(start + share[:, None] * (end - start), dim=1)

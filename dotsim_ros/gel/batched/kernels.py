@@ -11,6 +11,13 @@ from dotsim_ros.gel.elastic_kernels import elastic_kernels
 from dotsim_ros.gel.implicit.contact_kernels import contact_kernels
 from dotsim_ros.io.warp_runtime import wp
 
+wp.set_module_options({"enable_backward": False})
+
+KRYLOV = 8
+"""Steps of GMRES at most."""
+
+_hessenberg = wp.types.matrix(shape=(KRYLOV + 1, KRYLOV), dtype=wp.float32)
+_turned = wp.types.vector(length=KRYLOV + 1, dtype=wp.float32)
 _distance = distance_functions(wp.float32)
 _elastic = elastic_kernels(wp.float32)
 _contact = contact_kernels(wp.float32)
@@ -156,6 +163,77 @@ def coulomb(
     slip[b, m] = elastic_slip
     force[b, m] = a * (turn_back * f)
     stiffness[b, m] = a * (turn_back * h * wp.transpose(turn_back))
+
+
+@wp.kernel
+def least_squares(
+    hessenberg: wp.array3d(dtype=wp.float32),
+    size: wp.array(dtype=wp.float32),
+    steps: wp.int32,
+    solution: wp.array2d(dtype=wp.float32),
+    left: wp.array(dtype=wp.float32),
+):
+    """Write the x [b, k] of so many steps with the least |size e_1 - H x|, and how much that is, by
+    Givens rotations."""
+    b = wp.tid()
+    r = _hessenberg()
+    g = _turned()
+    g[0] = size[b]
+    for i in range(steps + 1):
+        for j in range(steps):
+            r[i, j] = hessenberg[b, i, j]
+    largest = wp.float32(1.0e-30)
+    for j in range(steps):
+        length = wp.sqrt(r[j, j] * r[j, j] + r[j + 1, j] * r[j + 1, j])
+        cosine = wp.float32(1.0)
+        sine = wp.float32(0.0)
+        if length > 0.0:
+            cosine = r[j, j] / length
+            sine = r[j + 1, j] / length
+        for i in range(j, steps):
+            above = r[j, i]
+            below = r[j + 1, i]
+            r[j, i] = cosine * above + sine * below
+            r[j + 1, i] = cosine * below - sine * above
+        g[j + 1] = -sine * g[j]
+        g[j] = cosine * g[j]
+        if length > largest:
+            largest = length
+    left[b] = wp.abs(g[steps])
+    tiny = 1.0e-7 * largest
+    for k in range(steps):
+        j = steps - 1 - k
+        total = g[j]
+        for i in range(j + 1, steps):
+            total -= r[j, i] * solution[b, i]
+        # It is a length.
+        solution[b, j] = total / wp.max(r[j, j], tiny)
+
+
+@wp.kernel
+def solve_symmetric(
+    matrix: wp.array3d(dtype=wp.float64),
+    right: wp.array2d(dtype=wp.float64),
+):
+    """Write the solutions [b, i] over the right hand sides, and L D L' over the matrices."""
+    b = wp.tid()
+    size = right.shape[1]
+    for j in range(size):
+        for i in range(j, size):
+            total = matrix[b, i, j]
+            for k in range(j):
+                total -= matrix[b, i, k] * matrix[b, k, k] * matrix[b, j, k]
+            if i > j:
+                total /= matrix[b, j, j]
+            matrix[b, i, j] = total
+        for k in range(j):
+            right[b, j] -= matrix[b, j, k] * right[b, k]
+    for reverse in range(size):
+        i = size - 1 - reverse
+        total = right[b, i] / matrix[b, i, i]
+        for k in range(i + 1, size):
+            total -= matrix[b, k, i] * right[b, k]
+        right[b, i] = total
 
 
 @wp.kernel

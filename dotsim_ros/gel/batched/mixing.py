@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import torch
 
+from dotsim_ros.gel.batched import kernels
+from dotsim_ros.io.warp_runtime import wp
+
 LEAST_CHANGE_M = 2.0e-7
 """A shorter one is mostly rounding."""
 REGULARISATION = 1.0e-7
@@ -45,7 +48,7 @@ class Mixing:
     def forget(self, gels: torch.Tensor) -> None:
         """Forget what the steps of some gels (B,) did."""
         for known in (self._changes, self._together, self._gram):
-            known[gels] = 0.0
+            known.masked_fill_(gels[:, None, None], 0.0)
 
     def keep(self, number: torch.Tensor) -> None:
         """Go on with some of the gels only, in this order."""
@@ -69,10 +72,17 @@ class Mixing:
         # What is not known yet gets no share.
         gram = gram + REGULARISATION * mean[:, None, None] * self._eye
         along = torch.bmm(self._of_gels(self._changes), move[:, :, None])[:, :, 0]
-        share = torch.linalg.solve(gram.double(), along.double()).to(move.dtype)
+        share = self._solved(gram.double(), along.double()).to(move.dtype)
         share = torch.where(grew, 0.0, share)
         mixed = torch.bmm(share[:, None], self._of_gels(self._together))[:, 0]
         return (move - mixed).T.reshape(point.shape)
+
+    def _solved(self, matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        """Return the solutions (b, m) of symmetric systems (b, m, m), (b, m), which are lost."""
+        inputs = [wp.from_torch(matrix), wp.from_torch(right)]
+        device = str(matrix.device)
+        wp.launch(kernels.solve_symmetric, dim=len(right), inputs=inputs, device=device)
+        return right
 
     def _of_gels(self, values: torch.Tensor) -> torch.Tensor:
         """Return the values (B, ...) of the gels that go on, without a copy if all do."""

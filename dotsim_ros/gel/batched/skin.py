@@ -19,7 +19,7 @@ from dotsim_ros.gel.implicit.refinement import Refinement
 from dotsim_ros.io.warp_runtime import wp
 
 ROUNDING = 16
-"""On a CPU, counts of markers and nodes are rounded up to multiples of this."""
+"""Counts of markers and nodes that are not fixed are rounded up to multiples of this."""
 
 
 _COMPONENTS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
@@ -122,12 +122,18 @@ class Skin:
         """Return the forces on the grid's nodes (N, 3, B) under forces (B, K, 3) on markers."""
         return _spread(self._stencils, index, force_n).permute(1, 2, 0).contiguous()
 
-    def compliance(self, index: torch.Tensor) -> torch.Tensor:
-        """Return the compliance (B, 3 K, 3 K) at rest between markers (B, K), m/N."""
-        node, _, weight = _around(self._stencils, index)
+    def compliance(self, index: torch.Tensor, node_limit: int | None) -> torch.Tensor:
+        """Return the compliance (B, 3 K, 3 K) at rest between markers (B, K), m/N.
+
+        Args:
+            index: of the markers.
+            node_limit: of how many nodes around the markers of a gel, those that carry most; None
+                for all, which are counted.
+        """
+        node, _, weight = _around(self._stencils, index, node_limit)
         result = _between(weight, self._rest.between(node))
         if self._fine is not None:
-            node, number, weight = _around(self._fine, index)
+            node, number, weight = _around(self._fine, index, node_limit)
             blocks = result.new_zeros(*node.shape, node.shape[1], 9)
             wp.launch(
                 kernels.gather_refinement,
@@ -170,7 +176,7 @@ def _times(matrix: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
 
 
 def _around(
-    stencils: Stencils, index: torch.Tensor
+    stencils: Stencils, index: torch.Tensor, limit: int | None
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return the nodes (B, R) around markers (B, K), the number of each of all nodes (B, N) among
     them, -1 for others, and the markers' weights on them (B, K, R)."""
@@ -179,21 +185,24 @@ def _around(
     weight = stencils.weight[index]
     used = torch.zeros(b, stencils.node_count, device=index.device)
     used.scatter_add_(1, flat, weight.abs().view(b, -1))
-    count = rounded_up(int((used > 0.0).sum(dim=1).max()), stencils.node_count)
+    count = limit or rounded_up(int((used > 0.0).sum(dim=1).max()), stencils.node_count)
+    count = min(count, stencils.node_count)
     node = torch.topk(used, count, dim=1).indices
     number = torch.full((b, stencils.node_count), -1, dtype=torch.int32, device=index.device)
     every = torch.arange(count, dtype=torch.int32, device=index.device)
     number.scatter_(1, node, every.expand(b, -1))
-    column = torch.gather(number, 1, flat).to(torch.int64).clamp(min=0).view(b, k, 27)
+    column = torch.gather(number, 1, flat).to(torch.int64).view(b, k, 27)
+    weight = torch.where(column < 0, 0.0, weight)
     dense = torch.zeros(b, k, count, device=index.device)
-    return node, number, dense.scatter_add_(2, column, weight)
+    return node, number, dense.scatter_add_(2, column.clamp(min=0), weight)
 
 
 def _between(weight: torch.Tensor, blocks: torch.Tensor) -> torch.Tensor:
     """Return W C W' (B, 3 K, 3 K) of weights (B, K, R) and the blocks (B, R, R, 9) of C, which is
     symmetric."""
     b, k, r = weight.shape
-    upper = blocks[..., _UPPER].permute(3, 0, 1, 2).reshape(6 * b, r, r)
+    # An index from the host would wait for the device.
+    upper = torch.stack([blocks[..., number] for number in _UPPER]).view(6 * b, r, r)
     every = weight.expand(6, b, k, r).reshape(6 * b, k, r)
     whole = torch.bmm(torch.bmm(every, upper), every.transpose(1, 2)).view(6, b, k, k)
     result = weight.new_empty(b, k, 3, k, 3)
