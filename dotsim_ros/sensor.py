@@ -27,7 +27,7 @@ from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.io.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.io.files import whole_file, write_image
 from dotsim_ros.io.progress import FirstTimeNotice
-from dotsim_ros.io.warp_runtime import say_if_kernels_compile
+from dotsim_ros.io.warp_runtime import known_device, say_if_kernels_compile
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, part_of_idle
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network import completion_network
@@ -168,12 +168,13 @@ class TactileSensor:
     Args:
         specification: what the sensor is.
         indenter: what presses it.
-        device: Warp's name of the device, "cpu" or "cuda:0".
+        device: where the gel is computed, "cpu" or "cuda".
         progress: called with the finished share of tables that are computed once and cached; None
             for one line on stderr where that, or the compilation of kernels, takes seconds.
 
     Raises:
-        ValueError: the specification contradicts itself; the message says where.
+        ValueError: the specification contradicts itself, or there is no such device; the message
+            says where.
     """
 
     def __init__(
@@ -187,6 +188,7 @@ class TactileSensor:
         self.exclusive_use = ExclusiveUse("sensor")
         # Images have no past: what two threads ask for is right one after the other.
         self._images = threading.RLock()
+        device = known_device(device)
         self.specification, self.device, self.indenter = specification, device, indenter
         self.skin = skin_of(specification.gel)
         self.whole_camera = Camera.from_specification(specification.camera)

@@ -80,6 +80,7 @@ POLICY_PARAMETERS: dict[str, dict[str, Any]] = {
 SENSOR_PARAMETERS: dict[str, dict[str, Any]] = {
     "no_such_sensor": {"sensor": "no_such_sensor"},
     "no mesh file": {"indenter": "/no/such/mesh.stl"},
+    "there is no device 'cuda:99' on this machine": {"device": "cuda:99"},
     "lockstep shows each pose": {"profile": "fast", "clock": "lockstep"},
     "no idle image /no/such/image.png": {"idle_image": "/no/such/image.png"},
     "of type 'INTEGER', expecting type 'STRING': profile": {"profile": 3},

@@ -202,12 +202,7 @@ class ConfiguredSensor:
             idle_image = str(Path(known.idle_image).absolute())
             camera = replace(specification.camera, idle_image=idle_image)
             specification = replace(specification, camera=camera)
-        if known.device != "cpu":
-            self._node.get_logger().warning(
-                f"device {known.device} is experimental: nothing has been shown to run there; "
-                "`python -m studies device_check` compares it with the CPU"
-            )
-        return TactileSensor(
+        sensor = TactileSensor(
             # Noise is drawn by the stamp as an image is published, after the effects: an image that
             # stands still has new noise, too.
             replace(specification, noise=NoiseSpecification()),
@@ -215,6 +210,12 @@ class ConfiguredSensor:
             device=known.device,
             progress=self._log_progress,
         )
+        if sensor.device != "cpu":
+            self._node.get_logger().warning(
+                f"device {sensor.device} is experimental: no node has been shown to run there; "
+                "`python -m studies device_check` compares it with the CPU"
+            )
+        return sensor
 
     def _log_progress(self, share: float) -> None:
         self._node.get_logger().info(

@@ -40,7 +40,7 @@ class SensorParameters:
     sensor: str = quantity("densetact2")
     """Sensor to simulate: a name below params/sensors, or the path of a YAML file."""
     device: str = quantity("cpu")
-    """Where the gel is computed: cpu, or cuda:0."""
+    """Where the gel is computed: cpu, or cuda; cuda:1 is the second GPU."""
     indenter: str = quantity("sphere_4mm", fixed=FREE)
     """What presses: a name below params/indenters, the path of an STL, OBJ, PLY or YAML file, or a
     definition such as 'sphere(radius_m=0.003)' or 'mesh(path=screw.stl, scale=0.001)'."""
@@ -64,7 +64,7 @@ class SensorParameters:
     def __post_init__(self) -> None:
         check_fields("", self)
         if not re.fullmatch("cpu|cuda(:[0-9]{1,3})?", self.device):
-            raise ValueError(f"device is {value_text(self.device)}, expected cpu, or cuda:0")
+            raise ValueError(f"device is {value_text(self.device)}, expected cpu or cuda")
         if self.grid_spacing_m != 0.0:
             spacing, name = self.grid_spacing_m, "grid_spacing_m"
             check_value(SolverSpecification, name, spacing, called=name)
