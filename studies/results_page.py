@@ -232,8 +232,15 @@ def tables(record: Any, entry: Mapping[str, Any], *, is_whole: bool = True) -> l
         if "figures" in shape
         else rows_table(record, shape, is_whole=is_whole)
         for shape in entry["tables"]
-        if is_whole or "figures" in shape or shown_rows(record, shape, is_whole=False)
+        if is_whole or _has_some(record, shape)
     ]
+
+
+def _has_some(record: Any, shape: Mapping[str, Any]) -> bool:
+    """Return whether a record has any figure of a table."""
+    if "rows" in shape:
+        return bool(shown_rows(record, shape, is_whole=False))
+    return any(hit is not None for row in shape["figures"] for _, hit in found(record, row[1]))
 
 
 def tables_of(file: str, record: Any) -> str:

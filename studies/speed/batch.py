@@ -55,7 +55,6 @@ def motion(number: int, radius_m: float) -> list[Pose]:
 def batch(
     *,
     counts: tuple[int, ...] = (1, 16, 64),
-    device: str = "cpu",
     threads: int = 1,
     outer: int = Effort.outer,
     newton: int = Effort.newton,
@@ -64,8 +63,7 @@ def batch(
 
     Args:
         counts: of gels.
-        device: torch's name: cpu, cuda.
-        threads: of torch, on a CPU.
+        threads: of torch.
         outer: steps of a substep at most.
         newton: steps of each contact problem at most.
     """
@@ -76,11 +74,11 @@ def batch(
     close = replace(sensor.solver, tolerance_m=CLOSE_M, iterations=CLOSE_ITERATIONS)
     right = make_gel_batch(replace(sensor, solver=close), indenter=ball, environment_count=1)
     truth = [right.step([pose], FRAME_S)[0] for pose in motion(0, radius_m)]
-    figures: dict[str, Any] = {"sensor": SENSOR, "indenter": INDENTER, "device": device}
+    figures: dict[str, Any] = {"sensor": SENSOR, "indenter": INDENTER}
     figures["steps"] = [outer, newton]
     for count in counts:
         paths = [motion(number, radius_m) for number in range(count)]
-        gel = BatchedGel(sensor, ball, count, effort=Effort(outer, newton), device=device)
+        gel = BatchedGel(sensor, ball, count, effort=Effort(outer, newton))
         single.reset()
         spent_s, alone_s, skin_m, force = [], [], [], []
         for frame, poses in enumerate(zip(*paths, strict=True)):
@@ -88,16 +86,14 @@ def batch(
             quaternion = np.array([pose.quaternion_xyzw for pose in poses])
             begun_s = time.perf_counter()
             state = gel.step(position_m, quaternion)
-            # A value that is read waits for the device.
-            state.left_m.max().item()
             between_s = time.perf_counter()
             single.step([poses[0]], FRAME_S)
             alone_s.append(time.perf_counter() - between_s)
             spent_s.append((between_s - begun_s) / count)
-            off_m = state.skin_position_m[0].cpu().numpy() - truth[frame].skin_position_m
+            off_m = state.skin_position_m[0].numpy() - truth[frame].skin_position_m
             skin_m.append(np.linalg.norm(off_m, axis=1).max())
             force_n = truth[frame].wrench.force_n
-            off_n = np.linalg.norm(state.force_n[0].cpu().numpy() - force_n)
+            off_n = np.linalg.norm(state.force_n[0].numpy() - force_n)
             force.append(off_n / np.linalg.norm(force_n))
         # The first frame comes from the air in many short moves.
         figures[str(count)] = {

@@ -5,25 +5,26 @@
 
 The node over DDS, the sensor alone for each indenter, and a batch are measured as in realtime.py,
 the environment as in environments.py; the loop is `dotsim_ros demo-loop`, once in real time and
-once in simulated time. On a CUDA device the gels of many worlds are solved together.
+once in simulated time. Where there is a CUDA device, many sensors are simulated there together, as
+in many_on_device.py; with `--device cuda` nothing else is measured, and `--device cpu --worlds 1 2`
+is that run's rehearsal.
 """
 
 from __future__ import annotations
 
 import json
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 from dotsim_ros.cli.main import main as run_command
 from dotsim_ros.control.policy.rollout import APPROACH_S
-from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.specification import load_sensor
-from studies.run import expect_positive
+from studies.run import FAILED, expect_positive
 from studies.speed.device_check import explicit_ms
 from studies.speed.environments import steps_per_second
+from studies.speed.many_on_device import on_device
 from studies.speed.realtime import (
     BATCH_SIZE,
     CASES,
@@ -34,16 +35,12 @@ from studies.speed.realtime import (
     measure_batch,
     measure_node,
     measure_sensor,
-    motion_under_load,
-    shape_of,
     speedup,
 )
 from studies.timing import percentiles_ms
 
 SENSOR = "densetact2"
-DEVICE = "cuda:0"
-LONGEST_S = 20.0
-"""After which no further frame of many worlds is begun."""
+CUDA = "cuda"
 
 
 def node_figures(sensor: str, seconds: float) -> dict[str, float]:
@@ -83,24 +80,10 @@ def loop_figures(laps: float) -> dict[str, float | None]:
     }
 
 
-def gel_frames_per_second(count: int, frame_count: int) -> float:
-    """Return the frames a second of the gels of many worlds, together, on the CUDA device."""
-    gel = make_gel_batch(
-        load_sensor(SENSOR),
-        indenter=shape_of(CASES[0]),
-        environment_count=count,
-        device=DEVICE,
-    )
-    motion = motion_under_load()
-    done, begun_s = -1, 0.0
-    while done < 1 or (done < frame_count and time.perf_counter() - begun_s < LONGEST_S):
-        # The first frame compiles the kernels.
-        if done == 0:
-            begun_s = time.perf_counter()
-        pose = motion.at(max(done, 0) / FRAME_RATE_HZ % motion.duration_s)
-        gel.step([pose] * count, 1.0 / FRAME_RATE_HZ)
-        done += 1
-    return round(count * done / (time.perf_counter() - begun_s), 1)
+def only_device(device: str, worlds: tuple[int, ...], seconds: float) -> dict[str, Any]:
+    """Return the figures of a device under its kind, cpu or cuda."""
+    figures = on_device(device, load_sensor(SENSOR), worlds, seconds)
+    return {FAILED: figures.pop(FAILED), device.partition(":")[0]: figures}
 
 
 def speed(
@@ -109,8 +92,9 @@ def speed(
     case_frames: int = 200,
     steps: int = 200,
     laps: float = 2.0,
-    worlds: tuple[int, ...] = (1, 64, 1024),
-    cuda_frames: int = 10,
+    device: str = "",
+    worlds: tuple[int, ...] = (1, 64, 1024, 4096),
+    device_seconds: float = 450.0,
 ) -> dict[str, Any]:
     """Frames a second of node, gel, environment and loop, in one record.
 
@@ -119,8 +103,9 @@ def speed(
         case_frames: frames of each indenter.
         steps: of the environment.
         laps: of the loop, in real time and in simulated time.
-        worlds: numbers of gels that are solved together, where there is a CUDA device.
-        cuda_frames: frames of each number of worlds.
+        device: the only thing to measure, by torch's name; none: all, a CUDA device too if there.
+        worlds: numbers of sensors that a device simulates together.
+        device_seconds: that it takes at most.
     """
     expect_positive(
         seconds=seconds,
@@ -128,8 +113,10 @@ def speed(
         steps=steps,
         laps=laps,
         fewest_worlds=min(worlds),
-        cuda_frames=cuda_frames,
+        device_seconds=device_seconds,
     )
+    if device:
+        return only_device(device, worlds, device_seconds)
     explicit_frame_ms = explicit_ms("cpu", EXPLICIT_FRAMES)
     cases = {name: measure_sensor(SENSOR, name, case_frames) for name in CASES}
     learned = measure_sensor(LEARNED_SENSOR, CASES[0], case_frames)
@@ -157,11 +144,5 @@ def speed(
         "loop": loop_figures(laps),
     }
     if wp.is_cuda_available():
-        figures["cuda"] = {
-            "device": wp.get_device(DEVICE).name,
-            **{
-                str(count): {"gel_frames_per_second": gel_frames_per_second(count, cuda_frames)}
-                for count in worlds
-            },
-        }
+        figures |= only_device(CUDA, worlds, device_seconds)
     return figures

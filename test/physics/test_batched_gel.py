@@ -20,6 +20,7 @@ torch = pytest.importorskip("torch")
 
 from dotsim_ros.gel.batched.gel import BatchedGel, BatchState, Effort  # noqa: E402
 from dotsim_ros.gel.batched.rest_compliance import RestCompliance, kept_blocks  # noqa: E402
+from studies.speed.many_on_device import Counted  # noqa: E402
 
 SENSOR = load_sensor("densetact2")
 NAMES = ("sphere_4mm", "box_edge", "torus")
@@ -77,12 +78,19 @@ def test_presses_slides_and_releases_are_those_of_the_implicit_gel(indenters):
 
 
 def test_a_gel_does_not_depend_on_the_others(indenters):
-    """With fixed counts, to what the products of another size round differently."""
+    """With fixed counts, to what the products of another size round differently. The host then
+    reads how many substeps there are and nothing else, and the state keeps its memory: a substep
+    can be recorded as a graph."""
     effort = Effort(outer=3, newton=4, tolerance_m=0.0)
     together = BatchedGel(SENSOR, indenters[:2], 2, effort=effort)
     alone = BatchedGel(SENSOR, indenters[1], 1, effort=effort)
+    states = {name: each for name, each in vars(together).items() if isinstance(each, torch.Tensor)}
+    memory = {name: each.data_ptr() for name, each in states.items()}
     for depth_m in (0.5e-3, 0.8e-3):
-        both = step(together, [pressed(2.0 * depth_m), pressed(depth_m)])
+        with Counted() as counted:
+            both = step(together, [pressed(2.0 * depth_m), pressed(depth_m)])
+        assert counted.reads == 1
+        assert {name: getattr(together, name).data_ptr() for name in states} == memory
         one = step(alone, [pressed(depth_m)])
         np.testing.assert_allclose(both.skin_position_m[1], one.skin_position_m[0], atol=2e-6)
         np.testing.assert_allclose(both.force_n[1], one.force_n[0], rtol=0.01, atol=1e-4)
