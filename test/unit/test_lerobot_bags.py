@@ -114,6 +114,36 @@ def test_lerobot_reads_it(bags, tmp_path):
             assert np.allclose(shown, pixels, atol=0.01)
 
 
+def test_a_data_set_of_lerobots_own_becomes_bags(tmp_path, capsys):
+    writing = pytest.importorskip(
+        "lerobot.datasets.lerobot_dataset", reason="needs pip install lerobot"
+    )
+    key, folder, random = "observation.images.wrist", tmp_path / "set", np.random.default_rng(0)
+    features = {
+        key: {"dtype": "image", "shape": SHAPE, "names": ["height", "width", "channels"]},
+        STATE: {"dtype": "float32", "shape": (2,), "names": JOINT_NAMES},
+        "action": {"dtype": "float32", "shape": (2,), "names": JOINT_NAMES},
+    }
+    made = writing.LeRobotDataset.create("local/own", 25, features, folder, use_videos=False)
+    images = random.integers(0, 256, (4, *SHAPE), dtype=np.uint8)
+    states = random.normal(size=(4, 2)).astype(np.float32)
+    for number, (image, state) in enumerate(zip(images, states, strict=True)):
+        made.add_frame({key: image, STATE: state, "action": state, "task": "wave"})
+        if number % 2:
+            made.save_episode()
+    made.finalize()
+    assert convert(folder, "--out", tmp_path / "bags") == 0
+    assert "left out, for lack of a topic: action" in capsys.readouterr().err
+    with BagReader(tmp_path / "bags" / "episode_000001") as bag:
+        seen = [each.message() for each in bag.messages("/wrist/image_raw/compressed")]
+        joints = [each.message() for each in bag.messages("/joint_states")]
+    assert [msg_adapters.message_stamp_ns(each) for each in seen] == [0, PERIOD_NS]
+    for message, image in zip(seen, images[2:], strict=True):
+        assert np.array_equal(msg_adapters.decode_compressed_image(message), image)
+    assert [list(each.name) for each in joints] == [JOINT_NAMES] * 2
+    assert np.array_equal([each.position for each in joints], states[2:])
+
+
 @pytest.mark.fault("bags and data sets", "")
 def test_what_cannot_be_converted_is_told(bags, tmp_path, capsys, answered):
     def said(what: str, *words: object) -> None:
