@@ -40,7 +40,13 @@ from dotsim_ros.gel.explicit.kernels import (
     SOFTNESS,
     explicit_kernels,
 )
-from dotsim_ros.gel.explicit.state import GridState, IndenterMotion, ParticleState
+from dotsim_ros.gel.explicit.state import (
+    clear,
+    copy_particles,
+    new_motion,
+    new_nodes,
+    new_particles,
+)
 from dotsim_ros.gel.material import NeoHookean, bulk_modulus_pa, shear_modulus_pa
 from dotsim_ros.geometry.indenter import Indenter, sphere, warn_of_misfit
 from dotsim_ros.geometry.pose import Pose
@@ -248,7 +254,7 @@ class ExplicitGel:
         self._smallest_ratio: Any = wp.zeros(environment_count, dtype=scalar, device=device)
         self._state = self._new_state(requires_grad=False)
         self._spare = self._new_state(requires_grad=False)
-        self._nodes = self._new_grid_state(requires_grad=False)
+        self._nodes = self._new_nodes(requires_grad=False)
         self.reset()
 
     @property
@@ -318,7 +324,7 @@ class ExplicitGel:
         moduli = self._moduli()
         self._smallest_ratio.fill_(1.0)
         for substep in range(self.settings.substeps_per_frame):
-            self._nodes.clear()
+            clear(self._nodes)
             self._advance(self._state, self._nodes, self._spare, motion, moduli, substep, substep_s)
             self._state, self._spare = self._spare, self._state
         self._last_pose = poses
@@ -347,7 +353,7 @@ class ExplicitGel:
         substep_s = self._substep(dt_s)
         count = self.settings.substeps_per_frame
         state = self._new_state(requires_grad=True)
-        state.assign(self._state)
+        copy_particles(self._state, state)
         self._parameters.grad.zero_()
         self._field.parameters.grad.zero_()
         self._smallest_ratio.fill_(1.0)
@@ -359,11 +365,11 @@ class ExplicitGel:
                 motion = self._motion(placed, substep_s, requires_grad=True)
                 for substep in range(count):
                     following = self._new_state(requires_grad=True)
-                    nodes = self._new_grid_state(requires_grad=True)
+                    nodes = self._new_nodes(requires_grad=True)
                     self._advance(state, nodes, following, motion, moduli, substep, substep_s)
                     state = following
                 self._last_pose = placed
-        self._state.assign(state)
+        copy_particles(state, self._state)
         result = self._report(state, motion)
         by_skin, by_force = loss_gradient(result)
         averaged = self._averaged()
@@ -406,19 +412,19 @@ class ExplicitGel:
     def _particle_mass(self) -> float:
         return self._density_kg_m3 * self.density_scale * self._particle_volume()
 
-    def _new_state(self, *, requires_grad: bool) -> ParticleState:
-        return ParticleState(
+    def _new_state(self, *, requires_grad: bool) -> Any:
+        return new_particles(
+            self._kernels,
             (self.environment_count, self.particle_count),
             self.skin.vertex_count,
-            self._scalar,
             device=self._device,
             requires_grad=requires_grad,
         )
 
-    def _new_grid_state(self, *, requires_grad: bool) -> GridState:
-        return GridState(
+    def _new_nodes(self, *, requires_grad: bool) -> Any:
+        return new_nodes(
+            self._kernels,
             (self.environment_count, self.node_count),
-            self._scalar,
             device=self._device,
             requires_grad=requires_grad,
         )
@@ -462,131 +468,84 @@ class ExplicitGel:
         )
         return moduli
 
-    def _motion(
-        self, poses: tuple[Pose, ...], substep_s: float, *, requires_grad: bool
-    ) -> IndenterMotion:
-        return IndenterMotion(
+    def _motion(self, poses: tuple[Pose, ...], substep_s: float, *, requires_grad: bool) -> Any:
+        return new_motion(
+            self._kernels,
             self._last_pose or poses,
             poses,
             self.settings.substeps_per_frame,
             substep_s,
-            self._scalar,
             device=self._device,
             requires_grad=requires_grad,
         )
 
     def _advance(
         self,
-        state: ParticleState,
-        nodes: GridState,
-        following: ParticleState,
-        motion: IndenterMotion | None,
+        particles: Any,
+        nodes: Any,
+        following: Any,
+        motion: Any,
         moduli: Any,
         substep: int,
         substep_s: float,
     ) -> None:
-        """One substep: equations 1 to 3."""
-        particles = (self.environment_count, self.particle_count)
-        markers = (self.environment_count, self.skin.vertex_count)
-        grid_nodes = (self.environment_count, self.node_count)
-        settings = self.settings
-        wp.launch(
-            self._kernels.particle_to_grid,
-            particles,
-            inputs=[
-                self._grid,
-                self._particle_mass(),
-                self._particle_volume(),
-                substep_s,
-                moduli,
-                state.position,
-                state.velocity,
-                state.affine,
-                state.deformation,
-            ],
-            outputs=[nodes.mass, nodes.momentum],
-            device=self._device,
+        """One substep: equations 1 to 3; `motion` is None where there is no indenter."""
+        settings, kernels, grid = self.settings, self._kernels, self._grid
+        each_particle = (self.environment_count, self.particle_count)
+        each_marker = (self.environment_count, self.skin.vertex_count)
+        each_node = (self.environment_count, self.node_count)
+
+        def launch(kernel: Any, dim: tuple[int, int], inputs: list[Any]) -> None:
+            wp.launch(kernel, dim, inputs=inputs, device=self._device)
+
+        mass, volume = self._particle_mass(), self._particle_volume()
+        launch(
+            kernels.particle_to_grid,
+            each_particle,
+            [grid, mass, volume, substep_s, moduli, particles, nodes],
         )
-        acceleration = np.array(settings.gravity_m_s2) / self.density_scale
-        wp.launch(
-            self._kernels.free_velocity,
-            grid_nodes,
-            inputs=[
-                substep_s,
-                wp.types.vector(3, self._scalar)(*acceleration),
-                float(np.exp(-settings.damping_per_s * substep_s)),
-                self._fixed,
-                nodes.mass,
-                nodes.momentum,
-            ],
-            outputs=[nodes.free_velocity],
-            device=self._device,
+        acceleration = wp.types.vector(3, self._scalar)(
+            *(np.array(settings.gravity_m_s2) / self.density_scale)
         )
-        velocity = nodes.free_velocity
+        decay = float(np.exp(-settings.damping_per_s * substep_s))
+        launch(
+            kernels.free_velocity,
+            each_node,
+            [substep_s, acceleration, decay, self._fixed, nodes],
+        )
+        velocity = nodes.free
         if motion is not None:
             velocity = nodes.velocity
-            wp.launch(
-                self._kernels.touch,
-                markers,
-                inputs=[
-                    self._grid,
+            launch(
+                kernels.touch,
+                each_marker,
+                [
+                    grid,
                     self._field,
+                    motion,
                     substep,
                     substep_s,
                     CONTACT_RECOVERY,
-                    motion.pose,
-                    motion.linear,
-                    motion.angular,
                     self._parameters,
                     self._skin_area,
-                    state.skin,
-                    nodes.free_velocity,
+                    particles,
+                    nodes,
                 ],
-                outputs=[nodes.area, nodes.wanted],
-                device=self._device,
             )
-            wp.launch(
-                self._kernels.correct_velocity,
-                grid_nodes,
-                inputs=[
-                    self._grid,
-                    substep,
-                    substep_s,
-                    self._fixed,
-                    nodes.mass,
-                    nodes.free_velocity,
-                    nodes.area,
-                    nodes.wanted,
-                ],
-                outputs=[velocity, motion.force, motion.torque],
-                device=self._device,
+            launch(
+                kernels.correct_velocity,
+                each_node,
+                [grid, substep, substep_s, self._fixed, nodes, motion],
             )
-        wp.launch(
-            self._kernels.grid_to_particle,
-            particles,
-            inputs=[self._grid, substep_s, velocity, state.position, state.deformation],
-            outputs=[
-                following.position,
-                following.velocity,
-                following.affine,
-                following.deformation,
-                self._smallest_ratio,
-            ],
-            device=self._device,
+        launch(
+            kernels.grid_to_particle,
+            each_particle,
+            [grid, substep_s, velocity, particles, following, self._smallest_ratio],
         )
-        wp.launch(
-            self._kernels.carry_skin,
-            markers,
-            inputs=[
-                self._grid,
-                substep_s,
-                self._held,
-                nodes.mass,
-                velocity,
-                state.skin,
-            ],
-            outputs=[following.skin],
-            device=self._device,
+        launch(
+            kernels.carry_skin,
+            each_marker,
+            [grid, substep_s, self._held, nodes.mass, velocity, particles, following],
         )
 
     def _averaged(self) -> slice:
@@ -594,7 +553,7 @@ class ExplicitGel:
         count = self.settings.substeps_per_frame
         return slice(count - max(1, count // 4), count)
 
-    def _report(self, state: ParticleState, motion: IndenterMotion | None) -> ExplicitState:
+    def _report(self, state: Any, motion: Any) -> ExplicitState:
         self._check_finite(state)
         environments = self.environment_count
         force, torque = np.zeros((2, environments, 3))
@@ -620,7 +579,7 @@ class ExplicitGel:
         skin = state.skin.numpy().astype(np.float64)
         return ExplicitState(skin, force, torque, deepest)
 
-    def _check_finite(self, state: ParticleState) -> None:
+    def _check_finite(self, state: Any) -> None:
         ratio = self._smallest_ratio.numpy()
         spacing = self.settings.spacing_m
         first = self._grid_origin_m + 2.0 * spacing

@@ -47,6 +47,38 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
         origin: vec3
         spacing: scalar
 
+    @wp.struct
+    class Particles:
+        """Particles and skin between two substeps."""
+
+        position: wp.array2d(dtype=vec3)
+        velocity: wp.array2d(dtype=vec3)
+        affine: wp.array2d(dtype=mat33)
+        deformation: wp.array2d(dtype=mat33)
+        skin: wp.array2d(dtype=vec3)
+
+    @wp.struct
+    class Nodes:
+        """Nodes during one substep; free: the velocity without contact; area, wanted: of the skin,
+        as `touch` writes them."""
+
+        mass: wp.array2d(dtype=scalar)
+        momentum: wp.array2d(dtype=vec3)
+        area: wp.array2d(dtype=scalar)
+        wanted: wp.array2d(dtype=vec3)
+        free: wp.array2d(dtype=vec3)
+        velocity: wp.array2d(dtype=vec3)
+
+    @wp.struct
+    class Motion:
+        """The indenter during a frame, by substep, and force and torque on it."""
+
+        pose: wp.array2d(dtype=transform)
+        linear: wp.array2d(dtype=vec3)
+        angular: wp.array2d(dtype=vec3)
+        force: wp.array2d(dtype=vec3)
+        torque: wp.array2d(dtype=vec3)
+
     @wp.func
     def cell_position(grid: Grid, x: vec3):
         """Position in cells, kept a cell away from the grid's sides: a body that has blown up
@@ -109,23 +141,19 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
         particle_volume: scalar,
         time_step: scalar,
         moduli: wp.array(dtype=vec2),
-        position: wp.array2d(dtype=vec3),
-        velocity: wp.array2d(dtype=vec3),
-        affine: wp.array2d(dtype=mat33),
-        deformation: wp.array2d(dtype=mat33),
-        mass: wp.array2d(dtype=scalar),
-        momentum: wp.array2d(dtype=vec3),
+        particles: Particles,
+        nodes: Nodes,
     ):
         e, n = wp.tid()
-        p = cell_position(grid, position[e, n])
+        p = cell_position(grid, particles.position[e, n])
         first = first_node(grid, p)
         wx = weights(p, first, 0)
         wy = weights(p, first, 1)
         wz = weights(p, first, 2)
-        stress = kirchhoff_stress(deformation[e, n], moduli[e])
+        stress = kirchhoff_stress(particles.deformation[e, n], moduli[e])
         scale = scalar(4.0) * time_step * particle_volume / (grid.spacing * grid.spacing)
-        flux = particle_mass * affine[e, n] - scale * stress
-        own = particle_mass * velocity[e, n]
+        flux = particle_mass * particles.affine[e, n] - scale * stress
+        own = particle_mass * particles.velocity[e, n]
         for i in range(3):
             for j in range(3):
                 for k in range(3):
@@ -134,8 +162,8 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
                         vec3(scalar(first[0] + i), scalar(first[1] + j), scalar(first[2] + k)) - p
                     )
                     number = node_number(grid, first, i, j, k)
-                    wp.atomic_add(mass, e, number, w * particle_mass)
-                    wp.atomic_add(momentum, e, number, w * (own + flux * offset))
+                    wp.atomic_add(nodes.mass, e, number, w * particle_mass)
+                    wp.atomic_add(nodes.momentum, e, number, w * (own + flux * offset))
 
     @wp.kernel
     def free_velocity(
@@ -143,17 +171,15 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
         acceleration: vec3,
         decay: scalar,
         fixed: wp.array(dtype=wp.int32),
-        mass: wp.array2d(dtype=scalar),
-        momentum: wp.array2d(dtype=vec3),
-        free: wp.array2d(dtype=vec3),
+        nodes: Nodes,
     ):
         """Momentum to velocity, held nodes at rest."""
         e, n = wp.tid()
-        m = mass[e, n]
+        m = nodes.mass[e, n]
         v = vec3(scalar(0.0), scalar(0.0), scalar(0.0))
         if m > scalar(0.0) and fixed[n] == 0:
-            v = decay * momentum[e, n] / m + time_step * acceleration
-        free[e, n] = v
+            v = decay * nodes.momentum[e, n] / m + time_step * acceleration
+        nodes.free[e, n] = v
 
     @wp.func
     def coulomb_change(relative: vec3, normal: vec3, lift: scalar, friction: scalar):
@@ -171,24 +197,20 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
     def touch(
         grid: Grid,
         field: field_type,
+        motion: Motion,
         substep: int,
         time_step: scalar,
         recovery: scalar,
-        pose: wp.array2d(dtype=transform),
-        linear: wp.array2d(dtype=vec3),
-        angular: wp.array2d(dtype=vec3),
         parameters: wp.array2d(dtype=scalar),
         skin_area: wp.array(dtype=scalar),
-        skin: wp.array2d(dtype=vec3),
-        free: wp.array2d(dtype=vec3),
-        area: wp.array2d(dtype=scalar),
-        wanted: wp.array2d(dtype=vec3),
+        particles: Particles,
+        nodes: Nodes,
     ):
         """Skin near the indenter to grid: its area, and the part in contact times the change of
         velocity that the contact law asks for."""
         e, n = wp.tid()
-        x = skin[e, n]
-        placed = pose[substep, e]
+        x = particles.skin[e, n]
+        placed = motion.pose[substep, e]
         local = wp.transform_point(wp.transform_inverse(placed), x)
         distance, gradient, _hessian = indenter_distance(field, local)
         # Skin farther away shares no node with skin in contact (supports are 3 cells wide).
@@ -208,11 +230,11 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
                 for i in range(3):
                     for j in range(3):
                         for k in range(3):
-                            v += (wx[i] * wy[j] * wz[k]) * free[
+                            v += (wx[i] * wy[j] * wz[k]) * nodes.free[
                                 e, node_number(grid, first, i, j, k)
                             ]
                 arm = x - wp.transform_get_translation(placed)
-                relative = v - linear[substep, e] - wp.cross(angular[substep, e], arm)
+                relative = v - motion.linear[substep, e] - wp.cross(motion.angular[substep, e], arm)
                 lift = recovery * wp.max(-distance, scalar(0.0)) / time_step
                 change = coulomb_change(
                     relative, wp.transform_vector(placed, gradient), lift, parameters[e, FRICTION]
@@ -222,9 +244,9 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
                     for k in range(3):
                         w = wx[i] * wy[j] * wz[k]
                         number = node_number(grid, first, i, j, k)
-                        wp.atomic_add(area, e, number, w * skin_area[n])
+                        wp.atomic_add(nodes.area, e, number, w * skin_area[n])
                         if contact > scalar(0.0):
-                            wp.atomic_add(wanted, e, number, (w * contact) * change)
+                            wp.atomic_add(nodes.wanted, e, number, (w * contact) * change)
 
     @wp.kernel
     def correct_velocity(
@@ -232,47 +254,38 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
         substep: int,
         time_step: scalar,
         fixed: wp.array(dtype=wp.int32),
-        mass: wp.array2d(dtype=scalar),
-        free: wp.array2d(dtype=vec3),
-        area: wp.array2d(dtype=scalar),
-        wanted: wp.array2d(dtype=vec3),
-        corrected: wp.array2d(dtype=vec3),
-        force: wp.array2d(dtype=vec3),
-        torque: wp.array2d(dtype=vec3),
+        nodes: Nodes,
+        motion: Motion,
     ):
         """Contact model; force and torque are those on the indenter, the torque about the base
         frame's origin."""
         e, n = wp.tid()
-        v = free[e, n]
-        if area[e, n] > scalar(0.0) and mass[e, n] > scalar(0.0) and fixed[n] == 0:
+        v = nodes.free[e, n]
+        if nodes.area[e, n] > scalar(0.0) and nodes.mass[e, n] > scalar(0.0) and fixed[n] == 0:
             # Skin that does not touch counts in the mean: leaving it out lets contact pump energy.
-            change = wanted[e, n] / area[e, n]
+            change = nodes.wanted[e, n] / nodes.area[e, n]
             v += change
             k = n % grid.count[2]
             row = n / grid.count[2]
             x = grid.origin + grid.spacing * vec3(
                 scalar(row / grid.count[1]), scalar(row % grid.count[1]), scalar(k)
             )
-            reaction = (-mass[e, n] / time_step) * change
-            wp.atomic_add(force, substep, e, reaction)
-            wp.atomic_add(torque, substep, e, wp.cross(x, reaction))
-        corrected[e, n] = v
+            reaction = (-nodes.mass[e, n] / time_step) * change
+            wp.atomic_add(motion.force, substep, e, reaction)
+            wp.atomic_add(motion.torque, substep, e, wp.cross(x, reaction))
+        nodes.velocity[e, n] = v
 
     @wp.kernel
     def grid_to_particle(
         grid: Grid,
         time_step: scalar,
         node_velocity: wp.array2d(dtype=vec3),
-        position: wp.array2d(dtype=vec3),
-        deformation: wp.array2d(dtype=mat33),
-        next_position: wp.array2d(dtype=vec3),
-        next_velocity: wp.array2d(dtype=vec3),
-        next_affine: wp.array2d(dtype=mat33),
-        next_deformation: wp.array2d(dtype=mat33),
+        particles: Particles,
+        following: Particles,
         smallest_volume_ratio: wp.array(dtype=scalar),
     ):
         e, n = wp.tid()
-        p = cell_position(grid, position[e, n])
+        p = cell_position(grid, particles.position[e, n])
         first = first_node(grid, p)
         wx = weights(p, first, 0)
         wy = weights(p, first, 1)
@@ -291,11 +304,11 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
                     v += share
                     b += wp.outer(share, offset)
         gradient = (scalar(4.0) / grid.spacing) * b
-        f = (wp.identity(3, dtype=scalar) + time_step * gradient) * deformation[e, n]
-        next_position[e, n] = position[e, n] + time_step * v
-        next_velocity[e, n] = v
-        next_affine[e, n] = gradient
-        next_deformation[e, n] = f
+        f = (wp.identity(3, dtype=scalar) + time_step * gradient) * particles.deformation[e, n]
+        following.position[e, n] = particles.position[e, n] + time_step * v
+        following.velocity[e, n] = v
+        following.affine[e, n] = gradient
+        following.deformation[e, n] = f
         ratio = wp.determinant(f)
         # Written so that a number that is not finite counts as collapsed.
         if not (ratio > scalar(2.0) * smallest_ratio):
@@ -310,11 +323,11 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
         held: wp.array(dtype=wp.int32),
         mass: wp.array2d(dtype=scalar),
         node_velocity: wp.array2d(dtype=vec3),
-        skin: wp.array2d(dtype=vec3),
-        next_skin: wp.array2d(dtype=vec3),
+        particles: Particles,
+        following: Particles,
     ):
         e, n = wp.tid()
-        x = skin[e, n]
+        x = particles.skin[e, n]
         moved = x
         if held[n] == 0:
             p = cell_position(grid, x)
@@ -334,7 +347,7 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
                             total += w
             if total > scalar(0.0):
                 moved = x + (time_step / total) * v
-        next_skin[e, n] = moved
+        following.skin[e, n] = moved
 
     @wp.kernel
     def penetration(
@@ -351,6 +364,9 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
 
     return SimpleNamespace(
         Grid=Grid,
+        Particles=Particles,
+        Nodes=Nodes,
+        Motion=Motion,
         elastic_moduli=elastic_moduli,
         particle_to_grid=particle_to_grid,
         free_velocity=free_velocity,

@@ -1,11 +1,13 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The arrays of the explicit method: particles, grid nodes, the indenter's motion in a frame."""
+"""The arrays of the explicit method, as its kernels take them: particles, grid nodes, the
+indenter's motion in a frame."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,67 +37,62 @@ def rotation_vector(start: Pose, end: Pose) -> FloatArray:
     return vector * (2.0 * np.arctan2(sine, scalar) / sine)
 
 
-class ParticleState:
-    """Particles and skin between two substeps."""
-
-    def __init__(self, shape: tuple[int, int], vertices: int, scalar: Any, **where: Any) -> None:
-        vec3 = wp.types.vector(3, scalar)
-        mat33 = wp.types.matrix((3, 3), scalar)
-        self.position: Any = wp.zeros(shape, dtype=vec3, **where)
-        self.velocity: Any = wp.zeros(shape, dtype=vec3, **where)
-        self.affine: Any = wp.zeros(shape, dtype=mat33, **where)
-        self.deformation: Any = wp.zeros(shape, dtype=mat33, **where)
-        self.skin: Any = wp.zeros((shape[0], vertices), dtype=vec3, **where)
-
-    def arrays(self) -> tuple[Any, ...]:
-        return self.position, self.velocity, self.affine, self.deformation, self.skin
-
-    def assign(self, other: ParticleState) -> None:
-        for own, source in zip(self.arrays(), other.arrays(), strict=True):
-            wp.copy(own, source)
+def new_particles(
+    kernels: SimpleNamespace, shape: tuple[int, int], vertices: int, **where: Any
+) -> Any:
+    """Return `Particles` of a shape (E, P), with so many vertices of the skin."""
+    return _zeros(kernels.Particles, shape, {"skin": (shape[0], vertices)}, **where)
 
 
-class GridState:
-    """Nodes during one substep."""
-
-    def __init__(self, shape: tuple[int, int], scalar: Any, **where: Any) -> None:
-        vec3 = wp.types.vector(3, scalar)
-        self.mass: Any = wp.zeros(shape, dtype=scalar, **where)
-        self.momentum: Any = wp.zeros(shape, dtype=vec3, **where)
-        self.area: Any = wp.zeros(shape, dtype=scalar, **where)
-        self.wanted: Any = wp.zeros(shape, dtype=vec3, **where)
-        self.free_velocity: Any = wp.zeros(shape, dtype=vec3, **where)
-        self.velocity: Any = wp.zeros(shape, dtype=vec3, **where)
-
-    def clear(self) -> None:
-        for array in (self.mass, self.momentum, self.area, self.wanted):
-            array.zero_()
+def copy_particles(source: Any, target: Any) -> None:
+    """Copy all arrays of `Particles`."""
+    for name in ("position", "velocity", "affine", "deformation", "skin"):
+        wp.copy(getattr(target, name), getattr(source, name))
 
 
-class IndenterMotion:
-    """The indenter during a frame: equation 4, forward kinematics, for all substeps."""
+def new_nodes(kernels: SimpleNamespace, shape: tuple[int, int], **where: Any) -> Any:
+    """Return `Nodes` of a shape (E, N)."""
+    return _zeros(kernels.Nodes, shape, {}, **where)
 
-    def __init__(
-        self,
-        start: Sequence[Pose],
-        end: Sequence[Pose],
-        count: int,
-        substep_s: float,
-        scalar: Any,
-        **where: Any,
-    ) -> None:
-        rows = np.zeros((count, len(start), 7))
-        linear = np.zeros((count, len(start), 3))
-        angular = np.zeros((count, len(start), 3))
-        for e, (a, b) in enumerate(zip(start, end, strict=True)):
-            linear[:, e] = (b.position_m - a.position_m) / (count * substep_s)
-            angular[:, e] = rotation_vector(a, b) / (count * substep_s)
-            for s in range(count):
-                pose = interpolate(a, b, (s + 1) / count)
-                rows[s, e] = [*pose.position_m, *pose.quaternion_xyzw]
-        vec3 = wp.types.vector(3, scalar)
-        self.pose: Any = wp.array(rows, dtype=wp.types.transformation(scalar), **where)
-        self.linear: Any = wp.array(linear, dtype=vec3, **where)
-        self.angular: Any = wp.array(angular, dtype=vec3, **where)
-        self.force: Any = wp.zeros((count, len(start)), dtype=vec3, **where)
-        self.torque: Any = wp.zeros((count, len(start)), dtype=vec3, **where)
+
+def clear(nodes: Any) -> None:
+    """Zero what a substep adds to."""
+    for array in (nodes.mass, nodes.momentum, nodes.area, nodes.wanted):
+        array.zero_()
+
+
+def new_motion(
+    kernels: SimpleNamespace,
+    start: Sequence[Pose],
+    end: Sequence[Pose],
+    count: int,
+    substep_s: float,
+    **where: Any,
+) -> Any:
+    """Return the indenter's `Motion` during a frame: equation 4, forward kinematics, for all
+    substeps."""
+    rows = np.zeros((count, len(start), 7))
+    linear = np.zeros((count, len(start), 3))
+    angular = np.zeros((count, len(start), 3))
+    for e, (a, b) in enumerate(zip(start, end, strict=True)):
+        linear[:, e] = (b.position_m - a.position_m) / (count * substep_s)
+        angular[:, e] = rotation_vector(a, b) / (count * substep_s)
+        for s in range(count):
+            pose = interpolate(a, b, (s + 1) / count)
+            rows[s, e] = [*pose.position_m, *pose.quaternion_xyzw]
+    motion = _zeros(kernels.Motion, (count, len(start)), {}, **where)
+    motion.pose.assign(rows)
+    motion.linear.assign(linear)
+    motion.angular.assign(angular)
+    return motion
+
+
+def _zeros(
+    kind: Any, shape: tuple[int, int], shapes: dict[str, tuple[int, int]], **where: Any
+) -> Any:
+    """Return a struct of kernels whose arrays are zero, of a shape but for those that are named."""
+    made = kind()
+    for name, variable in kind.vars.items():
+        array = wp.zeros(shapes.get(name, shape), dtype=variable.type.dtype, **where)
+        setattr(made, name, array)
+    return made
