@@ -294,16 +294,18 @@ class TouchMaker:
             frames.append(frame)
             before = skin
         strongest = int(np.argmax([np.linalg.norm(w.force_n) for w in solved.wrenches]))
+        # One array, which is sent once.
+        stacked = np.stack(images)
         made = self._arrays(solved, indenter, frames)
         arrays = {name: made[name] for name in plan.contents if name in made}
         if "difference" in plan.contents:
             arrays["difference"] = np.stack([change_image(one, idle, gain=1.0) for one in images])
         if "image" in plan.contents:
-            arrays["image"] = np.stack(images)
+            arrays["image"] = stacked
         return Side(
             solved,
             arrays,
-            np.stack(images),
+            stacked,
             idle,
             frames[strongest].depth_m[::step, ::step],
             strongest,
