@@ -58,6 +58,10 @@ LEARNING = [
 MUJOCO = [
     "mujoco>=3.2",
 ]
+# scenes of MuJoCo Warp; it chooses the version of MuJoCo
+MJLAB = [
+    "mjlab>=1.6",
+]
 ENVIRONMENTS = [
     "gymnasium>=1.0",
 ]
@@ -184,6 +188,7 @@ setup(
         "arm": ARM,
         "dataset": DATASET,
         "environments": [*ENVIRONMENTS, *MUJOCO],
+        "mjlab": MJLAB,
         "mujoco": MUJOCO,
         "reinforcement": [*ENVIRONMENTS, *MUJOCO, *REINFORCEMENT],
         "learning": LEARNING,
