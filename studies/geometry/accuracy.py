@@ -112,7 +112,7 @@ class OneOfBatch:
     def step(self, poses: list[Pose], _dt_s: float) -> list[OneState]:
         """Move the indenter to the pose."""
         [pose] = poses
-        state = self._gel.step(pose.position_m[None], pose.quaternion_xyzw[None])
+        state = self._gel.step(np.array([pose.position_m]), np.array([pose.quaternion_xyzw]))
         force_n, torque_nm = (each[0].double().numpy() for each in (state.force_n, state.torque_nm))
         return [
             OneState(
