@@ -6,7 +6,7 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("mjlab")
+pytest.importorskip("mjlab", reason="mjlab is not installed")
 
 import mujoco
 import torch

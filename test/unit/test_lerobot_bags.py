@@ -92,7 +92,7 @@ def test_what_lies_between_frames_is_left_out_and_told(tmp_path, capsys):
 
 def test_lerobot_reads_it(bags, tmp_path):
     reading = pytest.importorskip(
-        "lerobot.datasets.lerobot_dataset", reason="needs pip install lerobot"
+        "lerobot.datasets.lerobot_dataset", reason="lerobot is not installed"
     )
     for images in ("png", "mp4"):
         folder = tmp_path / images
@@ -116,7 +116,7 @@ def test_lerobot_reads_it(bags, tmp_path):
 
 def test_a_data_set_of_lerobots_own_becomes_bags(tmp_path, capsys):
     writing = pytest.importorskip(
-        "lerobot.datasets.lerobot_dataset", reason="needs pip install lerobot"
+        "lerobot.datasets.lerobot_dataset", reason="lerobot is not installed"
     )
     key, folder, random = "observation.images.wrist", tmp_path / "set", np.random.default_rng(0)
     features = {

@@ -20,7 +20,7 @@ def test_the_plugin_is_named_as_lerobot_looks_for_it():
 
 
 def test_the_plugins_own_tests_pass():
-    pytest.importorskip("lerobot", reason="needs pip install lerobot")
+    pytest.importorskip("lerobot", reason="lerobot is not installed")
     pytest.importorskip("lerobot_camera_dotsim", reason=f"needs pip install {PLUGIN.name}")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(PLUGIN)]
     assert subprocess.run(command, check=False).returncode == 0
