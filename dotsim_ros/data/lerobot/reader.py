@@ -130,7 +130,7 @@ class LeRobotReader:
                 for number, frame in enumerate(container.decode(video=0)):
                     if first <= number < first + row["length"]:
                         count += 1
-                        yield frame.to_ndarray(format="rgb24")
+                        yield np.asarray(frame.to_ndarray(format="rgb24"), dtype=np.uint8)
         except (OSError, av.FFmpegError) as error:
             raise ValueError(f"{path} cannot be read as a video ({error})") from error
         if count != row["length"]:

@@ -36,9 +36,11 @@ class VideoFile:
         self._frame_of = av.VideoFrame.from_ndarray
         self._container: Any = av.open(str(path), "w")
         rate = Fraction(fps).limit_denominator(1000)
-        self._stream = self._container.add_stream(CODEC, rate=rate, options=OPTIONS)
-        self._stream.width, self._stream.height = size_px
-        self._stream.pix_fmt = PIXELS
+        stream = self._container.add_stream(CODEC, rate=rate, options=OPTIONS)
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height = size_px
+        stream.pix_fmt = PIXELS
+        self._stream = stream
 
     def add(self, image: ImageArray) -> None:
         """Append an image (H, W, 3), red, green, blue."""
