@@ -169,6 +169,18 @@ class _Problem:
             device=markers.field.device,
             record_cmd=True,
         )
+        self._hessenberg = base_m.new_empty(count, kernels.KRYLOV + 1, kernels.KRYLOV)
+        self._size, self._residual = base_m.new_empty(count), base_m.new_empty(count)
+        self._share = base_m.new_empty(count, kernels.KRYLOV)
+        # To prepare a launch takes longer than this kernel does.
+        self._least_squares = wp.launch(
+            kernels.least_squares,
+            dim=count,
+            inputs=[wp.from_torch(self._hessenberg), wp.from_torch(self._size), 0],
+            outputs=[wp.from_torch(self._share), wp.from_torch(self._residual)],
+            device=markers.field.device,
+            record_cmd=True,
+        )
 
     def answer_at(self, position_m: torch.Tensor) -> None:
         """Find what the indenters answer markers at (B, K, 3)."""
@@ -213,11 +225,10 @@ class _Problem:
         # Squares of less would underflow, and the basis would not be of unit length.
         is_nothing = right.abs().amax(dim=(1, 2), keepdim=True) < LEAST_FORCE_N
         flat = torch.where(is_nothing, 0.0, right).reshape(count, -1)
-        size = flat.norm(dim=1).clamp(min=1e-30)
+        size = torch.clamp(flat.norm(dim=1), min=1e-30, out=self._size)
         basis = flat.new_empty(count, kernels.KRYLOV + 1, flat.shape[1])
         basis[:, 0] = flat / size[:, None]
-        hessenberg = flat.new_zeros(count, kernels.KRYLOV + 1, kernels.KRYLOV)
-        share, residual = flat.new_empty(count, kernels.KRYLOV), torch.empty_like(size)
+        hessenberg = self._hessenberg.zero_()
         for k in range(kernels.KRYLOV):
             vector = basis[:, k]
             moved = self.moved_by(vector.view(shape))
@@ -234,13 +245,8 @@ class _Problem:
             done = k + 1
             if done < kernels.KRYLOV and not (self.may_stop and done >= 3):
                 continue
-            wp.launch(
-                kernels.least_squares,
-                dim=count,
-                inputs=[wp.from_torch(hessenberg), wp.from_torch(size), done],
-                outputs=[wp.from_torch(share), wp.from_torch(residual)],
-                device=str(right.device),
-            )
-            if self.may_stop and bool((residual < FORCING * size).all()):
+            self._least_squares.set_param_by_name("steps", done)
+            self._least_squares.launch()
+            if self.may_stop and bool((self._residual < FORCING * size).all()):
                 break
-        return torch.bmm(share[:, None, :done], basis[:, :done]).view(shape)
+        return torch.bmm(self._share[:, None, :done], basis[:, :done]).view(shape)
