@@ -56,7 +56,10 @@ sys.exit(main(["find-gap", "--measured", sys.argv[1], "--out", sys.argv[1] + "/r
 @pytest.mark.fault("find-gap", "--out on a disk that is full")
 def test_no_room_is_seen_beforehand(tmp_path, answered):
     done = subprocess.run(
-        [sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=False
+        [sys.executable, "-B", "-c", FULL, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1

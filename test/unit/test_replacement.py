@@ -124,7 +124,7 @@ except OSError as error:
 def test_a_full_disk_leaves_the_report_before(tmp_path, answered):
     replace_files(tmp_path / "report", OLD)
     done = subprocess.run(
-        [sys.executable, "-c", FULL, str(tmp_path / "report")],
+        [sys.executable, "-B", "-c", FULL, str(tmp_path / "report")],
         capture_output=True,
         text=True,
         check=True,

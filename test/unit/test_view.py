@@ -188,8 +188,20 @@ def test_full_disk_leaves_the_files_before(noisy_bag, tmp_path, answered):
         "import sys, dotsim_ros.io.files; dotsim_ros.io.files.PROBE_BYTES = 1; "
         "from dotsim_ros.cli.main import main; sys.exit(main())"
     )
+    # -B: bytecode that is cut off would be read by whoever comes next.
     done = subprocess.run(
-        [sys.executable, "-c", code, "view", str(noisy_bag), "--out", str(out), "--columns", "1"],
+        [
+            sys.executable,
+            "-B",
+            "-c",
+            code,
+            "view",
+            str(noisy_bag),
+            "--out",
+            str(out),
+            "--columns",
+            "1",
+        ],
         capture_output=True,
         text=True,
         # No file may grow beyond a length, which shows only half-way.
