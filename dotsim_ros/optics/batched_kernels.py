@@ -117,6 +117,13 @@ def rasterize(
                     wp.atomic_min(nearest, b, y, x, entry)
 
 
+@wp.func
+def corner_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, direction: wp.vec3, distance: float):
+    """Weights of a triangle's second and third corner at a distance along a ray."""
+    _normal_all, normal_b, normal_c = inverse_corners(a, b, c)
+    return distance * wp.vec2(wp.dot(normal_b, direction), wp.dot(normal_c, direction))
+
+
 @wp.kernel
 def fill_view(
     nearest: wp.array3d(dtype=wp.int64),
@@ -141,11 +148,8 @@ def fill_view(
     i0 = triangles[face, 0]
     i1 = triangles[face, 1]
     i2 = triangles[face, 2]
-    _normal_all, normal_b, normal_c = inverse_corners(
-        position[b, i0], position[b, i1], position[b, i2]
-    )
     direction = ray[y, x]
-    weight = distance * wp.vec2(wp.dot(normal_b, direction), wp.dot(normal_c, direction))
+    weight = corner_weights(position[b, i0], position[b, i1], position[b, i2], direction, distance)
     depth[b, y, x] = distance
     normal[b, y, x] = normal_towards_camera(
         vertex_normal[b, i0], vertex_normal[b, i1], vertex_normal[b, i2], weight, direction
@@ -218,11 +222,9 @@ def warp_idle(
     i0 = shared.triangles[face, 0]
     i1 = shared.triangles[face, 1]
     i2 = shared.triangles[face, 2]
-    _normal_all, normal_b, normal_c = inverse_corners(
-        position[b, i0], position[b, i1], position[b, i2]
+    weight = corner_weights(
+        position[b, i0], position[b, i1], position[b, i2], ray[y, x], depth[b, y, x]
     )
-    direction = ray[y, x]
-    weight = depth[b, y, x] * wp.vec2(wp.dot(normal_b, direction), wp.dot(normal_c, direction))
     way = between_corners(
         shared.rest_pixel[i0] - pixel[b, i0],
         shared.rest_pixel[i1] - pixel[b, i1],
