@@ -20,9 +20,9 @@ import numpy as np
 
 from dotsim_ros.data.recording import Recording
 from dotsim_ros.gel.values import GelValues, specification_with, values_of
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.io.documents import value_text
 from dotsim_ros.io.printable import one_line
 from dotsim_ros.specification import SensorSpecification
@@ -339,6 +339,38 @@ def image_filters(effects: Sequence[Active]) -> ImageFilter:
         return image.pixels
 
     return filtered
+
+
+def seen_through(
+    shown: ImageFilter,
+    camera: Camera,
+    *,
+    stamp_s: float,
+    session_s: float,
+    image: ImageArray,
+    idle: ImageArray,
+    depth_m: Float32Array,
+    normal: Float32Array,
+    flow_px_s: FloatArray | None,
+) -> ImageArray:
+    """Return the image (H, W, 3) that filters make of a rendered one; the arguments are those of
+    `SeenImage`, with None for a flow that is not known."""
+    pixels = shown(
+        SeenImage(
+            stamp_s=stamp_s,
+            session_s=session_s,
+            pixels=image.astype(np.float64),
+            idle=idle.astype(np.float64),
+            centre_px=camera.principal_point_px,
+            focal_px=camera.focal_px,
+            flow_px_s=np.zeros((*image.shape[:2], 2)) if flow_px_s is None else flow_px_s,
+            depth_m=depth_m.astype(np.float64),
+            normal=normal.astype(np.float64),
+            projection=camera.projection,
+            pixel_aspect=camera.pixel_aspect,
+        )
+    )
+    return np.clip(np.rint(pixels), 0.0, 255.0).astype(np.uint8)
 
 
 def _check_shape(active: Active, what: str, found: FloatArray, before: FloatArray) -> None:

@@ -19,9 +19,9 @@ from dotsim_ros.effects.effect import (
     Active,
     GelTerm,
     ImageFilter,
-    SeenImage,
     gel_with,
     image_filters,
+    seen_through,
 )
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gel.body import Body
@@ -327,23 +327,17 @@ class TouchMaker:
 
     def _through(self, shown: ImageFilter, frame: Frame, flow: FloatArray | None) -> ImageArray:
         """Return the image that effects make of a frame's."""
-        camera = self._view.camera
-        pixels = shown(
-            SeenImage(
-                stamp_s=frame.time_s,
-                session_s=frame.time_s,
-                pixels=frame.image.astype(np.float64),
-                idle=frame.idle_image.astype(np.float64),
-                centre_px=camera.principal_point_px,
-                focal_px=camera.focal_px,
-                flow_px_s=np.zeros((*frame.image.shape[:2], 2)) if flow is None else flow,
-                depth_m=frame.depth_m.astype(np.float64),
-                normal=frame.normal.astype(np.float64),
-                projection=camera.projection,
-                pixel_aspect=camera.pixel_aspect,
-            )
+        return seen_through(
+            shown,
+            self._view.camera,
+            stamp_s=frame.time_s,
+            session_s=frame.time_s,
+            image=frame.image,
+            idle=frame.idle_image,
+            depth_m=frame.depth_m,
+            normal=frame.normal,
+            flow_px_s=flow,
         )
-        return np.clip(np.rint(pixels), 0.0, 255.0).astype(np.uint8)
 
     def _arrays(
         self, solved: Solved, indenter: Indenter, frames: Sequence[Frame]

@@ -14,10 +14,10 @@ import numpy as np
 from dotsim_ros.effects.effect import (
     Active,
     Response,
-    SeenImage,
     image_filters,
     motion_filters,
     response_filters,
+    seen_through,
 )
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.geometry.skin_mesh import tip_depth_m
@@ -115,25 +115,19 @@ class LiveEffects:
         sensor = self._sensor
 
         def seen(frame: Frame) -> ImageArray:
-            if before_m is None:
-                flow = np.zeros((*frame.image.shape[:2], 2))
-            else:
+            flow = None
+            if before_m is not None:
                 flow = sensor.image_motion_px(before_m, frame.skin_position_m) / step_s
-            pixels = image(
-                SeenImage(
-                    stamp_s=stamp_s,
-                    session_s=session_s,
-                    pixels=frame.image.astype(np.float64),
-                    idle=sensor.idle_image.astype(np.float64),
-                    centre_px=sensor.camera.principal_point_px,
-                    focal_px=sensor.camera.focal_px,
-                    flow_px_s=flow,
-                    depth_m=frame.depth_m.astype(np.float64),
-                    normal=frame.normal.astype(np.float64),
-                    projection=sensor.camera.projection,
-                    pixel_aspect=sensor.camera.pixel_aspect,
-                )
+            return seen_through(
+                image,
+                sensor.camera,
+                stamp_s=stamp_s,
+                session_s=session_s,
+                image=frame.image,
+                idle=sensor.idle_image,
+                depth_m=frame.depth_m,
+                normal=frame.normal,
+                flow_px_s=flow,
             )
-            return np.clip(np.rint(pixels), 0.0, 255.0).astype(np.uint8)
 
         return seen
