@@ -50,10 +50,11 @@ CLOCKS = ("image", "pose", "wrench", "joints", "skin")
 """The first of these that a bag has gives the frames their times."""
 STAMP = "stamp_ns."
 POSE_NAMES = ["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]
+WRENCH_NAMES = ["fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm"]
 NAMES = {
     STATE: POSE_NAMES,
     POSE: POSE_NAMES,
-    WRENCH: ["fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm"],
+    WRENCH: WRENCH_NAMES,
     SKIN: None,
 }
 JOINT_TYPE, JOINTS_TOPIC = "sensor_msgs/msg/JointState", "/joint_states"

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from dotsim_ros.data.data_set_writer import DataSetWriter, trajectory_of_frames
+from dotsim_ros.data.lerobot.bags import POSE_NAMES, WRENCH_NAMES
 from dotsim_ros.data.lerobot.writer import LeRobotWriter
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.pose import Pose, Wrench
@@ -42,10 +43,7 @@ KEYS = {
 CONSTANTS = "constants"
 """Key of what was drawn for a touch, in every frame."""
 IMAGES = ("image", "difference")
-NAMES: dict[str, Sequence[str]] = {
-    "wrench": ("fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm"),
-    "pose": ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"),
-}
+NAMES = {"wrench": WRENCH_NAMES, "pose": POSE_NAMES}
 LEROBOT, WEBDATASET, BAGS = "lerobot", "webdataset", "bags"
 FIELD_WIDTH_PX = {LEROBOT: 80, WEBDATASET: 100_000, BAGS: 80}
 """Most columns of depth, normals and contact: in a table of numbers each place takes four bytes or
@@ -118,13 +116,7 @@ def _features(touch: Touch, plan: TouchPlan) -> dict[str, dict[str, Any]]:
             found[key_of(name, number, len(touch.sides))] = {
                 "dtype": "video" if is_image else str(values.dtype),
                 "shape": values.shape[1:] or (1,),
-                "names": (
-                    ["height", "width", "channels"]
-                    if is_image
-                    else list(NAMES[name])
-                    if name in NAMES
-                    else None
-                ),
+                "names": (["height", "width", "channels"] if is_image else NAMES.get(name)),
             }
     if "constants" in plan.contents:
         names = list(touch.constants)
