@@ -151,8 +151,8 @@ class TactileArray:
             specification,
             each,
             count,
-            friction=_checked(friction, "friction", least=0.0),
-            modulus_factor=_checked(modulus_factor, "modulus_factor", least=1e-6),
+            friction=friction,
+            modulus_factor=modulus_factor,
             grid=grid,
             device=device,
         )
@@ -339,17 +339,3 @@ def _each_of(indenters: AnIndenter | Sequence[AnIndenter], count: int) -> list[I
         for one in indenters
     ]
     return loaded * (count // len(loaded))
-
-
-def _checked(values: ArrayLike | None, name: str, *, least: float) -> np.ndarray | None:
-    """Return what each gel is given.
-
-    Raises:
-        ValueError: a number is not finite or too small.
-    """
-    if values is None:
-        return None
-    result = np.asarray(values, dtype=float)
-    if not np.all(np.isfinite(result) & (result >= least)):
-        raise ValueError(f"{name} holds {result.min()}, expected finite numbers from {least:g} on")
-    return result

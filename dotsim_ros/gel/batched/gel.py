@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 from dotsim_ros.gel.batched import kernels
 from dotsim_ros.gel.batched.contact import Contact, Markers, matrices, solve_contact, vectors
@@ -72,6 +73,8 @@ FIRST_STEPS = 2
 """A substep's first contact problem takes so many times the Newton steps of the others."""
 ADVANCES = 12
 """Steps along a way until the first touch."""
+LEAST_FACTOR = 1.0e-6
+"""Of Young's modulus: a gel without any has no shape."""
 MOST_NODES = 384
 """With fixed counts, contact problems know so many nodes of a grid around the markers."""
 _STATE = (
@@ -155,7 +158,7 @@ class BatchedGel:
         field: Warp array (B,) of the indenters as kernels know them, `IndenterField`.
 
     Raises:
-        ValueError: an argument of another length than B or that is not finite or below 0, no such
+        ValueError: an argument of another length than B or that is not finite or too small, no such
             device, more gels than fit into its memory, or a gel with inertia.
     """
 
@@ -165,8 +168,8 @@ class BatchedGel:
         indenters: Indenter | Sequence[Indenter],
         count: int,
         *,
-        friction: FloatArray | None = None,
-        modulus_factor: FloatArray | None = None,
+        friction: ArrayLike | None = None,
+        modulus_factor: ArrayLike | None = None,
         effort: Effort | None = None,
         grid: Grid = "default",
         device: str = "cpu",
@@ -174,6 +177,9 @@ class BatchedGel:
         s = specification
         if s.solver.dynamic:
             raise ValueError("solver.dynamic is given; a batched gel has no inertia: leave it out")
+        own = s.contact.friction_coefficient
+        self._friction = _each(friction, own, count, "friction", least=0.0)
+        factor = _each(modulus_factor, 1.0, count, "modulus_factor", least=LEAST_FACTOR)
         device = known_device(device)
         self.count, self.device, self.effort = count, device, effort or Effort()
         material, body, mesh = material_of(s.material), body_of(s.gel), skin_of(s.gel)
@@ -206,9 +212,7 @@ class BatchedGel:
         self.rest_position_m = mesh.rest_position_m.astype(np.float32)
         self._youngs_pa, _ = small_strain_moduli_pa(law)
         self._contact_specification = s.contact
-        factor = _each(modulus_factor, 1.0, count, "modulus_factor")
         self._factor = torch.as_tensor(factor, dtype=torch.float32, device=device)[:, None]
-        self._friction = _each(friction, s.contact.friction_coefficient, count, "friction")
         self.set_indenters(indenters)
 
     def set_indenters(self, indenters: Indenter | Sequence[Indenter]) -> None:
@@ -698,17 +702,19 @@ def _mask(name: str, gels: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
     return gels if name.startswith("_u") else gels.view(-1, *(1,) * (like.dim() - 1))
 
 
-def _each(values: FloatArray | None, default: float, count: int, name: str) -> FloatArray:
+def _each(
+    values: ArrayLike | None, default: float, count: int, name: str, *, least: float
+) -> FloatArray:
     """Return one value for each gel.
 
     Raises:
-        ValueError: another number of them, or one that is not finite or below 0.
+        ValueError: another number of them, or one that is not finite or too small.
     """
     result = np.full(count, default) if values is None else np.asarray(values, dtype=float)
     if result.shape != (count,):
         raise ValueError(f"{name} has the shape {result.shape}, expected ({count},)")
-    if len(bad := result[~(np.isfinite(result) & (result >= 0.0))]):
-        raise ValueError(f"{name} holds {bad[0]}, expected finite numbers of 0 or more")
+    if len(bad := result[~(np.isfinite(result) & (result >= least))]):
+        raise ValueError(f"{name} holds {bad[0]}, expected finite numbers from {least:g} on")
     return result
 
 

@@ -116,7 +116,7 @@ def _features(touch: Touch, plan: TouchPlan) -> dict[str, dict[str, Any]]:
             found[key_of(name, number, len(touch.sides))] = {
                 "dtype": "video" if is_image else str(values.dtype),
                 "shape": values.shape[1:] or (1,),
-                "names": (["height", "width", "channels"] if is_image else NAMES.get(name)),
+                "names": ["height", "width", "channels"] if is_image else NAMES.get(name),
             }
     if "constants" in plan.contents:
         names = list(touch.constants)
