@@ -26,8 +26,9 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(VENV)/.installed*-
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
-# More than there are cores, since tests of nodes mostly wait; a file each, the longest first.
-TOGETHER := -n 3 --dist loadfile --no-loadscope-reorder
+# More than there are cores, since tests of nodes mostly wait; a file each, the longest first. A
+# worker that crashes ends the run: one in its place would leave the last tests waiting for ever.
+TOGETHER := -n 3 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 # What the tests saw of bad input and faults, for docs/api/faults.md.
 FAULTS ?= $(OUT)/faults.json

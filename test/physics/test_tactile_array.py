@@ -3,6 +3,8 @@
 
 """Many sensors at once, each against one gel and one renderer of its own; and what is not valid."""
 
+import tracemalloc
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -236,3 +238,17 @@ def test_more_sensors_than_fit_are_refused_before_any_memory_is_taken(monkeypatc
     assert least_gb["fine"] > 2.0 * least_gb["default"]
     with pytest.raises(ValueError, match="grid is 'finest', expected default or fine"):
         TactileArray("densetact2", 2, grid="finest")
+    sensor, ball = load_sensor("densetact2"), load_indenter("sphere_4mm")
+    with pytest.raises(ValueError, match="1000000000 gels take"), _little_memory():
+        BatchedGel(sensor, ball, 10**9)
+
+
+@contextmanager
+def _little_memory():
+    tracemalloc.start()
+    try:
+        yield
+    finally:
+        _, most_bytes = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert most_bytes < 1e8

@@ -177,16 +177,16 @@ class BatchedGel:
         s = specification
         if s.solver.dynamic:
             raise ValueError("solver.dynamic is given; a batched gel has no inertia: leave it out")
+        device, mesh = known_device(device), skin_of(s.gel)
+        expect_room(count, mesh.vertex_count, grid, device)
         own = s.contact.friction_coefficient
         self._friction = _each(friction, own, count, "friction", least=0.0)
         factor = _each(modulus_factor, 1.0, count, "modulus_factor", least=LEAST_FACTOR)
-        device = known_device(device)
         self.count, self.device, self.effort = count, device, effort or Effort()
-        material, body, mesh = material_of(s.material), body_of(s.gel), skin_of(s.gel)
+        material, body = material_of(s.material), body_of(s.gel)
         law = material.law
         is_fine = grid == "fine"
         spacing_m = s.solver.grid_spacing_m * (0.5 if is_fine else 1.0)
-        expect_room(count, mesh.vertex_count, grid, device)
         d = discretize(body, mesh.rest_position_m, spacing_m)
         self._spacing_m = d.spacing_m
         bond = bond_of(s.gel)
