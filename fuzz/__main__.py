@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from dotsim_ros.io.files import cache_directory
-from fuzz import commands, files, measured, messages, networks, sensors, writing
+from fuzz import commands, files, learners, measured, messages, networks, sensors, writing
 from fuzz.run import TargetSummary, attempt, limit_growth, prepare_in, run_target
 
 TARGETS = {
@@ -23,6 +23,7 @@ TARGETS = {
         *sensors.TARGETS,
         *files.TARGETS,
         *measured.TARGETS,
+        *learners.TARGETS,
         *messages.TARGETS,
         *networks.TARGETS,
         *commands.TARGETS,

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -166,6 +167,10 @@ def test_what_cannot_be_converted_is_told(bags, tmp_path, capsys, answered):
     text = info.read_text()
     info.write_text(text.replace('"v3.0"', '"v2.1"'))
     said("convert: a data set of another version", out, "--out", tmp_path / "back")
+    info.write_text(json.dumps(json.loads(text) | {"data_path": "../{chunk_index}"}))
+    said("convert: a data set whose files are outside of it", out, "--out", tmp_path / "back")
+    info.write_text(text.replace('"fps": ', '"fps": -'))
+    said("convert: a data set of no valid rate", out, "--out", tmp_path / "back")
     info.write_text(text)
     (frames,) = out.glob("data/*/*.parquet")
     frames.write_bytes(frames.read_bytes()[:-100])

@@ -328,7 +328,7 @@ def lerobot_to_bags(folder: Path, out: Path, warn: Callable[[str], None]) -> lis
                 )
             )
         path = out / f"episode_{episode.index:06d}"
-        with BagFile(path) as bag:
+        with BagFile(path) as bag, placed(f"{folder}, episode {episode.index}"):
             for stamp_ns, topic, message in merge(*streams, key=itemgetter(0)):
                 bag.write(topic, stamp_ns, message)
         written.append(path)
@@ -385,7 +385,9 @@ def _encoder(
             else msg_adapters.encode_wrench_stamped
         )
         return lambda row, **head: encode(rows[row, :3], rows[row, 3:], **head)
-    joints = names if isinstance(names, list) else [f"joint{n}" for n in range(rows.shape[1])]
+    joints = [f"joint{n}" for n in range(rows.shape[1])]
+    if isinstance(names, list) and list(map(type, names)) == [str] * len(joints):
+        joints = names
 
     def state(row: int, **head: Any) -> msg_adapters.Message:
         velocity = np.zeros(len(joints)) if velocities is None else velocities[row]

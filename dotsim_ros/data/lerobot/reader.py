@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,32 @@ import numpy as np
 
 from dotsim_ros.data.lerobot.writer import INFO, SEEN, VERSION, check_installed
 from dotsim_ros.io.arrays import ImageArray
-from dotsim_ros.io.documents import read_json, value_text
+from dotsim_ros.io.documents import is_number, read_json, value_text
+
+
+def _is_feature(value: Any) -> bool:
+    if not isinstance(value, dict) or str(value.get("dtype")) not in KINDS:
+        return False
+    shape = value.get("shape")
+    return isinstance(shape, list) and all(type(n) is int and n > 0 for n in shape)
+
+
+KINDS = frozenset(
+    {*SEEN, "string", "bool", "float16", "float32", "float64"}
+    | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+)
+ENTRIES: tuple[tuple[str, Callable[[Any], bool], str], ...] = (
+    (
+        "features",
+        lambda value: isinstance(value, dict) and all(map(_is_feature, value.values())),
+        "a dtype and a shape of each",
+    ),
+    ("fps", lambda value: is_number(value) and 0.0 < value < 1e6, "a number above 0"),
+    ("total_episodes", lambda value: type(value) is int and value >= 0, "a whole number"),
+)
+"""Entries of `meta/info.json` that are read: what is right, and its words."""
+LONGEST_NAME = 255
+"""Characters of a file's path within the data set."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +89,11 @@ class LeRobotReader:
                 f"{path} is of the version {value_text(version)}, expected {VERSION}; LeRobot "
                 "converts older ones"
             )
+        for key, is_right, expected in ENTRIES:
+            if not is_right(info.get(key)):
+                raise ValueError(
+                    f"{path}: {key} is {value_text(info.get(key))}, expected {expected}"
+                )
         self._info: dict[str, Any] = info
         self.features: dict[str, dict[str, Any]] = info["features"]
         self.fps = float(info["fps"])
@@ -79,10 +109,15 @@ class LeRobotReader:
         Raises:
             ValueError: a file is missing or is none that can be read.
         """
+        needed = ["episode_index", "tasks", "length", "data/chunk_index", "data/file_index"]
+        for key in self.image_keys():
+            if self.features[key]["dtype"] == "video":
+                ends = ("chunk_index", "file_index", "from_timestamp")
+                needed += [f"videos/{key}/{end}" for end in ends]
         rows = [
             row
             for path in sorted(self.folder.glob("meta/episodes/*/*.parquet"))
-            for row in self._table(path).to_pylist()
+            for row in self._table(path, needed).to_pylist()
             if row["episode_index"] < self.episode_count
         ]
         if len(rows) != self.episode_count:
@@ -118,7 +153,8 @@ class LeRobotReader:
         import av
 
         row = episode.row
-        path = self.folder / self._info["video_path"].format(
+        path = self._path(
+            "video_path",
             video_key=key,
             chunk_index=row[f"videos/{key}/chunk_index"],
             file_index=row[f"videos/{key}/file_index"],
@@ -138,8 +174,8 @@ class LeRobotReader:
 
     def _rows(self, row: dict[str, Any], keys: list[str]) -> Any:
         """Return columns of an episode's frames."""
-        path = self.folder / self._info["data_path"].format(
-            chunk_index=row["data/chunk_index"], file_index=row["data/file_index"]
+        path = self._path(
+            "data_path", chunk_index=row["data/chunk_index"], file_index=row["data/file_index"]
         )
         import pyarrow.compute as compute
 
@@ -149,15 +185,34 @@ class LeRobotReader:
             raise ValueError(f"{path} has {len(table)} frames, expected {row['length']}")
         return table.sort_by("frame_index").select(keys)
 
-    def _table(self, path: Path, columns: list[str] | None = None) -> Any:
+    def _table(self, path: Path, columns: list[str]) -> Any:
         import pyarrow as pa
         import pyarrow.parquet as parquet
 
         try:
-            return parquet.ParquetFile(path).read(columns=columns)
+            table = parquet.ParquetFile(path)
+            missing = [name for name in columns if name not in table.schema_arrow.names]
+            if missing:
+                raise ValueError(f"{path} lacks the column {value_text(missing[0])}")
+            return table.read(columns=columns)
         except (OSError, pa.ArrowException) as error:
             reason = str(error).partition("\n")[0]
             raise ValueError(f"{path} cannot be read as a table ({reason})") from error
+
+    def _path(self, entry: str, **numbers: Any) -> Path:
+        """Return the path of a file that `meta/info.json` has the form of."""
+        form = self._info.get(entry)
+        try:
+            name = form.format(**numbers) if isinstance(form, str) else ""
+        except (ValueError, LookupError, AttributeError):
+            name = ""
+        is_name = 0 < len(name) <= LONGEST_NAME and name.isprintable()
+        if not is_name or ".." in Path(name).parts or name.startswith("/"):
+            raise ValueError(
+                f"{self.folder / INFO}: {entry} is {value_text(form)}, expected the form of a path "
+                "in the data set"
+            )
+        return self.folder / name
 
 
 def _kind(dtype: str) -> Any:
