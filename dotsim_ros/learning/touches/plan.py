@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -168,7 +169,8 @@ def plan_of(document: Mapping[str, Any], place: str) -> TouchPlan:
 
 def _indenters(given: Any, place: str) -> tuple[Indenter, ...]:
     names = [given] if isinstance(given, str) else given
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+    are_names = isinstance(names, list) and all(isinstance(n, str) and n for n in names)
+    if not are_names or not names:
         raise ValueError(
             f"{place}: indenters is {value_text(given)}, expected names, definitions or files of "
             "indenters, or folders of files"
@@ -176,7 +178,8 @@ def _indenters(given: Any, place: str) -> tuple[Indenter, ...]:
     found: list[Indenter] = []
     for name in names:
         folder = expanded(name)
-        if not folder.is_dir():
+        # Unlike Path.is_dir, it takes any name.
+        if not os.path.isdir(folder):
             found.append(load_indenter(name))
             continue
         files = indenter_files(folder)
