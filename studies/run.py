@@ -201,6 +201,7 @@ STUDIES: dict[str, Study] = {
     "scale_out": Study(10, "speed.scale_out:scale_out"),
     "sensors": Study(5, "speed.sensors:sensors"),
     "simulated_loop": Study(70, "trajectory.simulated_loop:simulated_loop"),
+    "slip": Study(8, "slip:slip"),
     "slow_machine": Study(5, "speed.slow_machine:slow_machine"),
     "soak": Study(31, "speed.soak:soak"),
     "speed": Study(10, "speed.speed:speed"),

@@ -125,6 +125,16 @@ def test_two_fingers_lift_turn_and_hold_by_friction_alone(tmp_path: Path) -> Non
     assert cv2.imread(str(tmp_path / "grip.png")).shape == (480, 1280, 3)
 
 
+def test_a_slip_detector_learns_from_touches(tmp_path: Path) -> None:
+    printed = run("slip_detector.py", tmp_path, 20)
+    found, slips, right, others = map(
+        int, re.findall(r"(\d+) of (\d+) slips.* (\d+) of (\d+) frames", printed)[0]
+    )
+    assert slips > 0
+    assert found + right > 0.7 * (slips + others)
+    assert cv2.imread(str(tmp_path / "slip.png")) is not None
+
+
 def test_a_task_of_ones_own_is_solved_by_touch() -> None:
     printed = run("your_own_task.py")
     rewards = [float(reward) for reward in re.findall(r"reward (-[\d.]+)", printed)]
