@@ -27,17 +27,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.gel.batched.gel import BatchedGel
 from dotsim_ros.gel.batched.memory import Grid
 from dotsim_ros.gel.implicit.contact_points import ContactPoints
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.make import body_of, material_of, skin_of
 from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.geometry.pose import Pose, Wrench
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.io.files import cache_directory, whole_file
 from dotsim_ros.nodes.tactile_sim.profiles import REALTIME
 from dotsim_ros.specification import SensorSpecification, load_sensor
+from studies.geometry.batched_model import OneOfBatch, OneState
 from studies.run import expect_known
 
 INDENTERS = ("sphere_4mm", "flat_punch", "box_edge", "cone", "box_face")
@@ -100,38 +100,6 @@ def press_pose(outer_radius_m: float, depth_m: float) -> Pose:
     axis = np.array(DIRECTION) / np.linalg.norm(DIRECTION)
     half = np.array([-axis[1], axis[0], 0.0, 1.0 + axis[2]])
     return Pose(axis * (outer_radius_m - depth_m), half / np.linalg.norm(half))
-
-
-class OneOfBatch:
-    """A batch of one gel, moved as the implicit gel is."""
-
-    def __init__(self, specification: SensorSpecification, grid: Grid, indenter: str) -> None:
-        self._gel = BatchedGel(specification, load_indenter(indenter), 1, grid=grid)
-        self.reset = self._gel.reset
-
-    def step(self, poses: list[Pose], _dt_s: float) -> list[OneState]:
-        """Move the indenter to the pose."""
-        [pose] = poses
-        state = self._gel.step(np.array([pose.position_m]), np.array([pose.quaternion_xyzw]))
-        force_n, torque_nm = (each[0].double().numpy() for each in (state.force_n, state.torque_nm))
-        return [
-            OneState(
-                state.skin_position_m[0].double().numpy(),
-                Wrench(force_n, torque_nm),
-                float(state.max_penetration_m[0]),
-                bool(state.left_m[0] < self._gel.effort.tolerance_m),
-            )
-        ]
-
-
-@dataclass(frozen=True)
-class OneState:
-    """What is judged of a gel after a step, as `GelState` has it."""
-
-    skin_position_m: NDArray[np.float64]
-    wrench: Wrench
-    max_penetration_m: float
-    converged: bool
 
 
 def make(specification: SensorSpecification, method: Method, indenter: str) -> ImplicitGel:
@@ -309,7 +277,7 @@ def accuracy(
                 gel = (
                     make(specification, method, indenter)
                     if method.batched is None
-                    else OneOfBatch(specification, method.batched, indenter)
+                    else OneOfBatch(specification, method.batched, load_indenter(indenter))
                 )
                 states, seconds = moved(gel, poses, judged, indenter)
                 rows += [

@@ -8,19 +8,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from dotsim_ros.data.presses import Press
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.specification import load_sensor
+from dotsim_ros.specification import SensorSpecification, load_sensor
+from studies.geometry.batched_model import BatchedModel
 from studies.geometry.explicit import ExplicitFit
 from studies.geometry.implicit_model import ImplicitModel
 from studies.geometry.scores import Factory, Model, Split
 from studies.rivals import difftactile, tacto, taxim
 from studies.run import expect_known
 
-GeometryModel = Literal["ours", "explicit", "explicit_fitted", "tacto", "taxim", "difftactile"]
+GeometryModel = Literal[
+    "ours",
+    "batched",
+    "batched_fine",
+    "explicit",
+    "explicit_fitted",
+    "tacto",
+    "taxim",
+    "difftactile",
+]
 NAMES: tuple[GeometryModel, ...] = get_args(GeometryModel)
 """The explicit gel is the paper's, with the paper's modulus and with one fitted to the forces."""
 
@@ -56,7 +66,7 @@ def factories_of(
 
     Args:
         names: some of `NAMES`.
-        sensor: of "ours", see `sensor_file`.
+        sensor: of "ours" and the batched gels, see `sensor_file`.
         stated: name or file of the sensor as its maker states it, for body, density and friction
             of the explicit gels.
 
@@ -68,10 +78,10 @@ def factories_of(
     # DiffTactile's mesh is that of the skin, which comes with the first split.
     trials: list[difftactile.FitTrials] = []
 
-    def ours(split: Split, *_given: Any) -> Model:
+    def implicit(split: Split) -> SensorSpecification:
         specification = load_sensor(sensor_file(split.name, sensor))
         solver = replace(specification.solver, method="implicit")
-        return ImplicitModel(replace(specification, solver=solver))
+        return replace(specification, solver=solver)
 
     def dynamic(
         _split: Split, train: Sequence[Press], indenters: Mapping[str, Indenter], skin: SkinMesh
@@ -82,7 +92,9 @@ def factories_of(
         return difftactile.fit(train, trials[0])
 
     makers: dict[str, Factory] = {
-        "ours": ours,
+        "ours": lambda split, *_given: ImplicitModel(implicit(split)),
+        "batched": lambda split, *_given: BatchedModel(implicit(split), "default"),
+        "batched_fine": lambda split, *_given: BatchedModel(implicit(split), "fine"),
         "explicit": lambda _split, *given: explicit.fit(*given),
         "explicit_fitted": lambda _split, *given: explicit.fit_with_force(*given),
         "tacto": lambda _split, *given: tacto.fit(*given),

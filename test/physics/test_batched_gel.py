@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dotsim_ros.data.presses import Press
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
@@ -20,6 +21,8 @@ torch = pytest.importorskip("torch")
 
 from dotsim_ros.gel.batched.gel import BatchedGel, BatchState, Effort  # noqa: E402
 from dotsim_ros.gel.batched.rest_compliance import RestCompliance, kept_blocks  # noqa: E402
+from studies.geometry.batched_model import BatchedModel  # noqa: E402
+from studies.geometry.implicit_model import ImplicitModel  # noqa: E402
 from studies.speed.many_on_device import Counted  # noqa: E402
 
 SENSOR = load_sensor("densetact2")
@@ -75,6 +78,28 @@ def test_presses_slides_and_releases_are_those_of_the_implicit_gel(indenters):
     assert not released.force_n.any()
     rest = np.broadcast_to(gel.rest_position_m, released.skin_position_m.shape)
     np.testing.assert_array_equal(released.skin_position_m.numpy(), rest)
+
+
+def test_the_model_of_studies_presses_the_skin_that_was_measured():
+    pad = load_sensor("flat_pad")
+    block = replace(
+        pad,
+        gel=replace(pad.gel, pad_size_m=(8e-3, 8e-3, 4e-3), skin_spacing_m=1e-3),
+        solver=replace(pad.solver, refined=False),
+    )
+    measured = skin_of(replace(block.gel, skin_spacing_m=0.8e-3))
+    way = [(0.0, -0.1), (0.0, 0.2), (0.0, 0.4), (0.2, 0.4)]
+    poses = [Pose(np.array([1e-3 * x, 0.0, 4e-3 - 1e-3 * depth])) for x, depth in way]
+    press = Press("press", "sphere_4mm", poses, 0.04 * np.arange(1.0, 5.0))
+    ball = load_indenter("sphere_4mm")
+    right = ImplicitModel(block).predict(press, ball, measured)
+    model = BatchedModel(block, "default")
+    # Another indenter before leaves nothing.
+    model.predict(press, load_indenter("cone"), measured)
+    found = model.predict(press, ball, measured)
+    assert found.skin_position_m.shape == (4, measured.vertex_count, 3)
+    assert np.linalg.norm(found.skin_position_m - right.skin_position_m, axis=2).max() < 20e-6
+    np.testing.assert_allclose(found.force_n, right.force_n, atol=0.02 * right.force_n.max())
 
 
 def test_a_gel_does_not_depend_on_the_others(indenters):

@@ -40,6 +40,7 @@ from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
 from dotsim_ros.gel.make import body_of, bond_of, material_of, skin_of
 from dotsim_ros.gel.material import small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.warp_runtime import known_device, on_torch_stream, wp
 from dotsim_ros.specification import SensorSpecification
@@ -145,6 +146,7 @@ class BatchedGel:
         specification: of the sensor; its camera has no part in it.
         indenters: one for all gels, or one for each.
         count: B.
+        skin: whose vertices are the markers; None for the sensor's own.
         friction: (B,) coefficients; None for the sensor's.
         modulus_factor: (B,) each gel's Young's modulus over the sensor's; None for 1.
         effort: of a substep.
@@ -168,6 +170,7 @@ class BatchedGel:
         indenters: Indenter | Sequence[Indenter],
         count: int,
         *,
+        skin: SkinMesh | None = None,
         friction: ArrayLike | None = None,
         modulus_factor: ArrayLike | None = None,
         effort: Effort | None = None,
@@ -177,7 +180,7 @@ class BatchedGel:
         s = specification
         if s.solver.dynamic:
             raise ValueError("solver.dynamic is given; a batched gel has no inertia: leave it out")
-        device, mesh = known_device(device), skin_of(s.gel)
+        device, mesh = known_device(device), skin or skin_of(s.gel)
         expect_room(count, mesh.vertex_count, grid, device)
         own = s.contact.friction_coefficient
         self._friction = _each(friction, own, count, "friction", least=0.0)
