@@ -23,6 +23,7 @@ from dotsim_ros.io.files import expanded
 from dotsim_ros.learning.slip import SkinTouch, SlipDetector, touches_in
 from dotsim_ros.learning.touches.plan import read_plan
 from dotsim_ros.learning.touches.run import make_touches
+from dotsim_ros.specification import load_sensor
 from studies.data import DATA
 
 PLAN = Path(__file__).parents[1] / "examples" / "slip_touches.yaml"
@@ -53,7 +54,7 @@ def slip(*, touches: int = 300, out: Path = Path("out/slip"), data: Path = DATA)
 
 def _slides(data: Path, name: str) -> list[SkinTouch]:
     data_set = read_data_set(expanded(data) / "measured" / name)
-    reader = PressReader.of(data_set, None)
+    reader = PressReader.of(data_set, skin_of(load_sensor("densetact2").gel))
     found = []
     for entry in data_set.entries:
         if "slide" in entry.name:

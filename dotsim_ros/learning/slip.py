@@ -84,7 +84,7 @@ class SkinTouch:
     def features(self) -> FloatArray:
         """Return (F - 1, 9) of each frame and the one before, without the object's pose."""
         outward = _unit(self.rest_m)
-        rows: list[list[float]] = []
+        rows: list[list[Any]] = []
         last: tuple[Any, ...] = ()
         for moved, force in zip(self.moved_m, self.force_n, strict=True):
             depth = -(moved * outward).sum(axis=1)
@@ -96,11 +96,11 @@ class SkinTouch:
             skin, shear = (_across(each, normal) for each in (weight @ moved, force))
             pressed = float(force @ normal)
             if last:
-                way = shear / (np.linalg.norm(shear) + 1e-9)
+                way: FloatArray = shear / (np.linalg.norm(shear) + 1e-9)
                 sheared, skin_way = shear - last[3], skin - last[1]
                 patch_way = _across(centre - last[0], normal)
                 forces = (_length(shear), sheared @ way, _length(sheared), pressed - last[2])
-                ways = [_length(skin)]
+                ways: list[Any] = [_length(skin)]
                 ways += [
                     size for each in (skin_way, patch_way) for size in (each @ way, _length(each))
                 ]
