@@ -1,8 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Skin and wrench of a trajectory, differentiable by torch. Entries: `press`, and `press_each` for
-many.
+"""What a sensor feels and sees along a trajectory, differentiable by torch. Entries: `press` for
+skin and wrench, `press_each` for many gels, `see` for the depth image and markers of a skin.
 
 The gel is solved to rounding and differentiated by its adjoint, friction's history included
 (`gel.adjoint`), so that a frame takes about ten times as long as one of `TactileSensor`. Without
@@ -24,13 +24,16 @@ from dotsim_ros.gel.adjoint.recorder import Recorder
 from dotsim_ros.gel.adjoint.refinement_rate import poisson_rate
 from dotsim_ros.gel.body import Dome, Pad
 from dotsim_ros.gel.implicit.gel import ImplicitGel
-from dotsim_ros.gel.make import body_of, bond_of, law_of, make_gel_batch
+from dotsim_ros.gel.make import body_of, bond_of, law_of, make_gel_batch, skin_of
 from dotsim_ros.gel.material import ElasticLaw
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
 from dotsim_ros.gel.values import GelValues, specification_with, values_of
+from dotsim_ros.geometry.camera import Camera, middle_part
 from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.markers import PrintedMarkers
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification
 
 PARAMETERS = (
@@ -45,6 +48,8 @@ PARAMETERS = (
 """Fields of `gel.values.GelValues` by which there are derivatives."""
 DIFFERENCE = 1.0e-3
 """Relative step of the elastic law's derivatives, which are exact to rounding."""
+CAMERA_STEP_M = 1.0e-6
+"""Of the projection's derivatives by central differences: their error is below 1e-7 of them."""
 
 
 class Touch(NamedTuple):
@@ -54,6 +59,19 @@ class Touch(NamedTuple):
     skin_position_m: torch.Tensor
     force_n: torch.Tensor
     torque_nm: torch.Tensor
+
+
+class Sight(NamedTuple):
+    """What the camera sees of skins, double precision.
+
+    Attributes:
+        depth_m: (..., H, W) range, the distance along the ray; NaN where no skin is seen.
+        marker_px: (..., M, 2) x and y of the printed markers, also of one beyond the image's edge;
+            NaN where the camera has no image of it.
+    """
+
+    depth_m: torch.Tensor
+    marker_px: torch.Tensor
 
 
 def press(
@@ -143,6 +161,71 @@ def press_each(
         own: dict[str, Any] = given | {name: v[b] for name, v in each.items()}
         touches.append(press(sensor, indenters[b], poses[b], dt_s=dt_s, **own))
     return Touch(*(torch.stack(found) for found in zip(*touches, strict=True)))
+
+
+def see(
+    sensor: SensorSpecification,
+    skin_position_m: torch.Tensor,
+    *,
+    image_size: tuple[int, int] | None = None,
+) -> Sight:
+    """Return what the camera sees of skins, with derivatives.
+
+    The range at a pixel is that to the plane of the triangle seen there, and so is its derivative.
+    Where this triangle gives way to its neighbour, the range has a kink, and the derivative is that
+    on the triangle's side. Where the skin hides a part of itself, the range jumps: the derivatives
+    leave out that such an outline moves.
+
+    Args:
+        sensor: its camera, skin and markers.
+        skin_position_m: (..., V, 3) base frame, as `Touch` has it.
+        image_size: width and height of the image, of the part in the middle of the camera's that
+            has this shape, as for `TactileArray`; None for the camera's own.
+
+    Raises:
+        ValueError: another number of vertices than the skin's, or one that is not finite.
+    """
+    skin, camera = skin_of(sensor.gel), Camera.from_specification(sensor.camera)
+    if image_size is not None:
+        part = middle_part((camera.width, camera.height), image_size)
+        camera = camera.part(*part).scaled(*image_size)
+    renderer, frames = SkinRenderer(camera, skin), skin_position_m.detach().cpu().numpy()
+    before = frames.shape[:-2]
+    found = [renderer.render(f).triangle for f in frames.reshape(-1, *frames.shape[-2:])]
+    triangle = torch.as_tensor(np.stack(found))
+
+    origin, rotation = camera.pose.position_m, camera.pose.rotation()
+    given = skin_position_m.double().cpu().reshape(-1, *frames.shape[-2:])
+    place = (given - torch.tensor(origin)) @ torch.tensor(rotation)
+    first, second, third = place[:, torch.as_tensor(skin.triangles).long()].unbind(2)
+    normal = torch.linalg.cross(second - first, third - first)
+    height = (first * normal).sum(-1)
+    frame, row, column = torch.nonzero(triangle >= 0, as_tuple=True)
+    number = triangle[frame, row, column].long()
+    ray = torch.tensor(camera.rays()[0])[row, column]
+    range_m = height[frame, number] / (ray * normal[frame, number]).sum(-1)
+    nothing = torch.full(triangle.shape, torch.nan, dtype=torch.float64)
+    depth_m = nothing.index_put((frame, row, column), range_m)
+
+    marker_px = given.new_zeros(len(given), 0, 2)
+    if sensor.markers.columns:
+        markers = PrintedMarkers(sensor.markers, skin)
+        corner = given[:, torch.as_tensor(markers.corner).long()]
+        weight = torch.as_tensor(markers.weight)[..., None]
+        marker_px = _projected(camera, (weight * corner).sum(2))
+    return Sight(depth_m.reshape(*before, *triangle.shape[1:]), marker_px.reshape(*before, -1, 2))
+
+
+def _projected(camera: Camera, point_m: torch.Tensor) -> torch.Tensor:
+    """Return the images (..., 2) of points (..., 3), base frame, with derivatives."""
+    point = point_m.detach().numpy()
+    ahead, behind = (
+        camera.project(point[..., None, :] + step * np.eye(3))
+        for step in (CAMERA_STEP_M, -CAMERA_STEP_M)
+    )
+    slope = torch.as_tensor((ahead - behind) / (2.0 * CAMERA_STEP_M))
+    motion = ((point_m - point_m.detach())[..., None] * slope).sum(-2)
+    return torch.as_tensor(camera.project(point)) + motion
 
 
 def _zeros(given: torch.Tensor | None, name: str, shape: tuple[int, ...]) -> torch.Tensor:

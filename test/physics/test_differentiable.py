@@ -11,13 +11,14 @@ import pytest
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import load_sensor
 
 pytest.importorskip("torch")
 
 import torch
 
-from dotsim_ros.differentiable import Touch, press, press_each
+from dotsim_ros.differentiable import Touch, press, press_each, see
 
 PAD = load_sensor("flat_pad")
 SENSOR = replace(PAD, solver=replace(PAD.solver, refined=False))
@@ -131,3 +132,47 @@ def test_what_has_no_derivative_is_refused():
         press(SENSOR, sphere, PATH, stiffness=torch.tensor(1.0))
     with pytest.raises(ValueError, match=r"shape \(2, 6\), expected zeros of shape \(4, 6\)"):
         press(SENSOR, sphere, PATH, pose_twist=torch.zeros(2, 6))
+
+
+MARKED = load_sensor("gelsight_mini_markers")
+COARSE = replace(MARKED, solver=replace(MARKED.solver, refined=False))
+SEEN_TOP_M = MARKED.gel.pad_size_m[2]
+SEEN_PATH = [
+    Pose(np.array([x, 0.1e-3, SEEN_TOP_M + z]))
+    for x, z in ((0.0, 0.2e-3), (0.0, -0.4e-3), (0.4e-3, -0.5e-3))
+]
+IMAGE = (48, 36)
+
+
+def test_what_is_seen_is_what_the_sensor_sees():
+    sensor = TactileSensor.load(COARSE, indenter="sphere_4mm")
+    frame = [sensor.step(pose) for pose in SEEN_PATH][-1]
+    motion = sensor.marker_motion(frame.skin_position_m)
+    sight = see(COARSE, torch.as_tensor(frame.skin_position_m))
+    # The frame has single precision.
+    np.testing.assert_allclose(sight.depth_m.numpy(), frame.depth_m, atol=2e-8)
+    np.testing.assert_allclose(sight.marker_px.numpy(), motion.position_px, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", ["sphere_4mm", "box_edge"])
+def test_derivatives_of_depth_and_markers_are_those_of_differences(shape):
+    weight = torch.linspace(1.0, 2.0, IMAGE[0] * IMAGE[1], dtype=torch.float64).reshape(IMAGE[::-1])
+
+    def losses(**values):
+        touch = press(COARSE, load_indenter(shape), SEEN_PATH, **values)
+        sight = see(COARSE, touch.skin_position_m, image_size=IMAGE)
+        depth = (torch.nan_to_num(sight.depth_m[-1]) * weight).sum()
+        way_px = sight.marker_px[-1] - sight.marker_px[0].detach()
+        return depth, torch.nan_to_num(way_px**2).sum()
+
+    for name, value, step in (("youngs_modulus_pa", 1.5e5, 1e-3), ("friction", 0.4, 1e-3)):
+        given = torch.tensor(value, dtype=torch.float64, requires_grad=True)
+        found = [
+            torch.autograd.grad(loss, given, retain_graph=True)[0]
+            for loss in losses(**{name: given})
+        ]
+        with torch.no_grad():
+            more, less = (losses(**{name: torch.tensor(value * f)}) for f in (1 + step, 1 - step))
+        for slope, high, low in zip(found, more, less, strict=True):
+            expected = float(high - low) / (2.0 * step * value)
+            assert float(slope) == pytest.approx(expected, rel=1e-3)
