@@ -223,7 +223,8 @@ def _projected(camera: Camera, point_m: torch.Tensor) -> torch.Tensor:
         camera.project(point[..., None, :] + step * np.eye(3))
         for step in (CAMERA_STEP_M, -CAMERA_STEP_M)
     )
-    slope = torch.as_tensor((ahead - behind) / (2.0 * CAMERA_STEP_M))
+    # A marker without an image has no part in any derivative.
+    slope = torch.as_tensor(np.nan_to_num((ahead - behind) / (2.0 * CAMERA_STEP_M)))
     motion = ((point_m - point_m.detach())[..., None] * slope).sum(-2)
     return torch.as_tensor(camera.project(point)) + motion
 
