@@ -31,6 +31,8 @@ from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
 TICK_NS = 10_000_000
+OPEN: list[Desk] = []
+"""Nodes that read their topics until they are destroyed, also those of tests that follow."""
 
 
 class Desk(WorkingNode):
@@ -40,6 +42,7 @@ class Desk(WorkingNode):
         self.callbacks: dict[str, Any] = {}
         self.now_ns = time.time_ns()
         super().__init__("desk")
+        OPEN.append(self)
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any
@@ -63,6 +66,8 @@ class Desk(WorkingNode):
 def ros() -> Generator[None, None, None]:
     rclpy.init()
     yield
+    while OPEN:
+        OPEN.pop().destroy_node()
     rclpy.shutdown()
 
 

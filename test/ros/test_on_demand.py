@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from contextlib import closing
 
-import pytest
 from geometry_msgs.msg import WrenchStamped
 from harness import APEX_M, Client, running
 from sensor_msgs.msg import CompressedImage, PointCloud2
@@ -23,8 +22,6 @@ def is_rendered(client: Client) -> bool:
     return "depth_p95_ms" in values or "image_p95_ms" in values
 
 
-# Next to other tests it once saw a frame rendered before it had asked for an image.
-@pytest.mark.timed
 def test_frames_are_rendered_once_somebody_reads_an_image_and_not_before() -> None:
     topics = {"wrench": WrenchStamped, "points": PointCloud2}
     parameters = {"diagnostics_period_s": 0.1, "grid_spacing_m": 0.0048}
