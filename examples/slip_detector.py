@@ -17,39 +17,34 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from dotsim_ros.gel.make import skin_of
-from dotsim_ros.learning.slip import SlipDetector, touches_in
+from dotsim_ros.io.progress import PrintedProgress
+from dotsim_ros.learning.slip import SlipDetector, labelled_frames, touches_in
 from dotsim_ros.learning.touches.plan import read_plan
 from dotsim_ros.learning.touches.run import make_touches
 
 
 def main(out: Path, count: int) -> None:
     plan = read_plan(Path(__file__).parent / "slip_touches.yaml")
-    show = lambda what, done, of: print(f"\r{what} {done}/{of}", end="", flush=True)  # noqa: E731
-    make_touches(plan, out, count=count, kind="webdataset", workers=1, progress=show)
+    make_touches(plan, out, count=count, kind="webdataset", progress=PrintedProgress())
     touches = list(touches_in(out, skin_of(plan.sensor.gel).rest_position_m))
 
-    features = [touch.features() for touch in touches]
-    slips = [touch.slips() for touch in touches]
-    judged = [touch.judged() for touch in touches]
-
-    def frames(of, numbers):
-        return np.concatenate([of[number][judged[number]] for number in numbers])
-
-    left_out = range(0, count, 5)
-    learnt = [number for number in range(count) if number not in left_out]
-    detector = SlipDetector(frames(features, learnt), frames(slips, learnt))
-    truth, found = frames(slips, left_out), detector(frames(features, left_out))
+    left_out = touches[::5]
+    learnt = [touch for number, touch in enumerate(touches) if number % 5]
+    detector = SlipDetector(*labelled_frames(learnt))
+    features, truth = labelled_frames(left_out)
+    found = detector(features)
     print(
-        f"\n{(truth & found).sum()} of {truth.sum()} slips found, "
+        f"{(truth & found).sum()} of {truth.sum()} slips found, "
         f"{(~truth & ~found).sum()} of {(~truth).sum()} frames without slip right"
     )
 
-    shown = max(left_out, key=lambda number: slips[number].sum())
+    shown = max(left_out, key=lambda touch: touch.slips().sum())
+    features, truth = shown.features(), shown.slips()
     figure, axes = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
-    ratio = features[shown][:, 0]
+    ratio = features[:, 0]
     axes.plot(ratio, color="black", label="tangential over normal force")
-    axes.plot(np.where(slips[shown], ratio, np.nan), "s", color="tab:red", label="slips")
-    axes.plot(np.where(detector(features[shown]), ratio, np.nan), "x", label="detector")
+    axes.plot(np.where(truth, ratio, np.nan), "s", color="tab:red", label="slips")
+    axes.plot(np.where(detector(features), ratio, np.nan), "x", color="black", label="detector")
     axes.set(xlabel="frame", ylim=(0.0, None))
     axes.legend()
     figure.savefig(out / "slip.png")

@@ -14,16 +14,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.reading import PressReader
 from dotsim_ros.gel.make import skin_of
+from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.files import expanded
-from dotsim_ros.learning.slip import SkinTouch, SlipDetector, touches_in
+from dotsim_ros.learning.slip import SkinTouch, SlipDetector, labelled_frames, touches_in
 from dotsim_ros.learning.touches.plan import read_plan
 from dotsim_ros.learning.touches.run import make_touches
-from dotsim_ros.specification import load_sensor
 from studies.data import DATA
 
 PLAN = Path(__file__).parents[1] / "examples" / "slip_touches.yaml"
@@ -44,17 +42,18 @@ def slip(*, touches: int = 300, out: Path = Path("out/slip"), data: Path = DATA)
     """
     plan = read_plan(PLAN)
     make_touches(plan, out, count=touches, kind="webdataset", workers=2, progress=lambda *_: None)
-    known = list(touches_in(out, skin_of(plan.sensor.gel).rest_position_m))
-    detector = SlipDetector(*_frames(known))
+    skin = skin_of(plan.sensor.gel)
+    known = list(touches_in(out, skin.rest_position_m))
+    detector = SlipDetector(*labelled_frames(known))
     return {
-        kind: _score(detector, [slide for name in sets for slide in _slides(data, name)])
+        kind: _score(detector, [slide for name in sets for slide in _slides(data, name, skin)])
         for kind, sets in (("development", DEVELOPMENT), ("held_out", HELD_OUT))
     }
 
 
-def _slides(data: Path, name: str) -> list[SkinTouch]:
+def _slides(data: Path, name: str, own_skin: SkinMesh) -> list[SkinTouch]:
     data_set = read_data_set(expanded(data) / "measured" / name)
-    reader = PressReader.of(data_set, skin_of(load_sensor("densetact2").gel))
+    reader = PressReader.of(data_set, own_skin)
     found = []
     for entry in data_set.entries:
         if "slide" in entry.name:
@@ -69,16 +68,8 @@ def _slides(data: Path, name: str) -> list[SkinTouch]:
     return found
 
 
-def _frames(touches: list[SkinTouch]) -> tuple[Any, Any]:
-    """Return features and slips of all frames that press."""
-    return (
-        np.concatenate([touch.features()[touch.judged()] for touch in touches]),
-        np.concatenate([touch.slips()[touch.judged()] for touch in touches]),
-    )
-
-
 def _score(detector: SlipDetector, slides: list[SkinTouch]) -> dict[str, Any]:
-    features, truth = _frames(slides)
+    features, truth = labelled_frames(slides)
     found = detector(features)
     slipping, sticking = int((found & truth).sum()), int((~found & ~truth).sum())
     shares = slipping / max(truth.sum(), 1), sticking / max((~truth).sum(), 1)

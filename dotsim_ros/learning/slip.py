@@ -23,6 +23,7 @@ import torch
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.learning.touches.formats import key_of
 
 FEATURE_COUNT = 9
 LEAST_FORCE_N = 0.1
@@ -33,10 +34,7 @@ MOVED_M = 1e-4
 FOLLOWS = 0.5
 SKIN_NOISE_M, FORCE_NOISE_N = 4e-5, 0.015
 """Standard deviations that are added to simulated touches."""
-SKIN, WRENCH, POSE = (
-    *("observation.tactile.skin_displacement", "observation.tactile.wrench"),
-    "observation.state",
-)
+SKIN, WRENCH, POSE = (key_of(name, 0, 1) for name in ("skin", "wrench", "pose"))
 
 
 @dataclass(frozen=True)
@@ -147,6 +145,15 @@ class SlipDetector:
 
     def _scaled(self, features: FloatArray) -> torch.Tensor:
         return torch.tensor((features - self._mean) / self._scale, dtype=torch.float32)
+
+
+def labelled_frames(touches: Sequence[SkinTouch]) -> tuple[FloatArray, Any]:
+    """Return features (N, 9) and slips (N,) of all frames that press hard enough."""
+    judged = [touch.judged() for touch in touches]
+    return (
+        np.concatenate([t.features()[frames] for t, frames in zip(touches, judged, strict=True)]),
+        np.concatenate([t.slips()[frames] for t, frames in zip(touches, judged, strict=True)]),
+    )
 
 
 def touches_in(folder: Path, rest_m: FloatArray, seed: int = 0) -> Iterator[SkinTouch]:

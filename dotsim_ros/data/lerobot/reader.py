@@ -17,6 +17,11 @@ from dotsim_ros.data.lerobot.writer import INFO, SEEN, VERSION, check_installed
 from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.documents import is_number, read_json, value_text
 
+KINDS = frozenset(
+    {*SEEN, "string", "bool", "float16", "float32", "float64"}
+    | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+)
+
 
 def _is_feature(value: Any) -> bool:
     if not isinstance(value, dict) or str(value.get("dtype")) not in KINDS:
@@ -25,10 +30,6 @@ def _is_feature(value: Any) -> bool:
     return isinstance(shape, list) and all(type(n) is int and n > 0 for n in shape)
 
 
-KINDS = frozenset(
-    {*SEEN, "string", "bool", "float16", "float32", "float64"}
-    | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
-)
 ENTRIES: tuple[tuple[str, Callable[[Any], bool], str], ...] = (
     (
         "features",
