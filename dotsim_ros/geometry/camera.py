@@ -53,21 +53,27 @@ def angle_from_distorted(distorted: ArrayLike, distortion: FloatArray) -> FloatA
     target = np.asarray(distorted, dtype=np.float64)
     widest = _widest_angle(distortion)
     limit = float(distorted_angle(widest, distortion))
-    lower = np.zeros_like(target)
-    upper = np.full_like(target, widest)
-    angle = np.minimum(target, widest)
+    result = np.full(target.size, np.nan)
+    # Of those that are still sought: few need many steps.
+    place = np.flatnonzero(target.ravel() <= limit)
+    sought = target.ravel()[place]
+    angle = np.minimum(sought, widest)
+    lower, upper = np.zeros_like(sought), np.full_like(sought, widest)
     # Newton kept inside a shrinking bracket: theta_d flattens towards the widest angle.
     for _ in range(60):
-        error = distorted_angle(angle, distortion) - target
-        lower = np.where(error < 0.0, angle, lower)
-        upper = np.where(error < 0.0, upper, angle)
-        if np.all((np.abs(error) < 1e-14) | (target > limit)):
+        error = distorted_angle(angle, distortion) - sought
+        result[place] = angle
+        is_off = np.abs(error) >= 1e-14
+        if not is_off.any():
             break
+        place, sought, angle, error = place[is_off], sought[is_off], angle[is_off], error[is_off]
+        lower = np.where(error < 0.0, angle, lower[is_off])
+        upper = np.where(error < 0.0, upper[is_off], angle)
         slope = _distorted_slope(angle, distortion)
         step = angle - error / np.where(slope > 1e-12, slope, np.inf)
         inside = (step > lower) & (step < upper) & (slope > 1e-12)
         angle = np.where(inside, step, 0.5 * (lower + upper))
-    return np.where(target <= limit, angle, np.nan)
+    return result.reshape(target.shape)
 
 
 def distorted_angle(angle: ArrayLike, distortion: FloatArray) -> FloatArray:
