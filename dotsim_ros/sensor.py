@@ -23,6 +23,7 @@ from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.markers import MarkerMotion, PrintedMarkers
 from dotsim_ros.geometry.pose import ApexPose, Pose, Wrench
+from dotsim_ros.io import tracing
 from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.io.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.io.files import whole_file, write_image
@@ -492,7 +493,8 @@ class TactileSensor:
         """
         pose = self._placed(pose)
         try:
-            gel = self._gel.step(pose, dt_s)
+            with tracing.span("gel"):
+                gel = self._gel.step(pose, dt_s)
             if not np.all(np.isfinite(gel.skin_position_m)):
                 raise DivergenceError("the skin is not finite")
         except (np.linalg.LinAlgError, DivergenceError) as error:
@@ -555,7 +557,8 @@ class TactileSensor:
     def _seen(self, gel: GelFrame, pose: Pose | None) -> Frame:
         clock = time.perf_counter
         start = clock()
-        view = self._renderer.render(gel.skin_position_m)
+        with tracing.span("view"):
+            view = self._renderer.render(gel.skin_position_m)
         seen = clock()
         moment = (self._noise.seed, round(1e9 * gel.time_s))
         image = with_noise(

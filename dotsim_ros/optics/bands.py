@@ -17,6 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
 
+from dotsim_ros.io import tracing
 from dotsim_ros.io.cores import available_core_count
 from dotsim_ros.io.warp_runtime import wp
 
@@ -64,10 +65,15 @@ def launch_bands(bands: list[tuple[int, int]], record: Callable[[int, int], wp.L
 def _share(launch: wp.Launch) -> tuple[wp.Launch, Future[None] | None]:
     """Return a launch and what the other thread makes of it; None where there is no such thread."""
     try:
-        return launch, _other_thread(os.getpid()).submit(launch.launch)
+        return launch, _other_thread(os.getpid()).submit(_run, launch)
     except RuntimeError:
         # No thread can be started, or none any more: the interpreter is ending.
         return launch, None
+
+
+def _run(launch: wp.Launch) -> None:
+    with tracing.span("band"):
+        launch.launch()
 
 
 @cache

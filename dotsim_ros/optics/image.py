@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io import tracing
 from dotsim_ros.io.arrays import BoolArray, Float32Array, ImageArray
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
@@ -274,7 +275,9 @@ class ImageRenderer:
 
     def render(self, view: View) -> ImageArray:
         """Return the image (H, W, 3), red, green, blue, of what the camera sees."""
-        return self.completed(view.depth_m, view.normal, self.warp(view))
+        with tracing.span("warp"):
+            warped = self.warp(view)
+        return self.completed(view.depth_m, view.normal, warped)
 
     def completed(
         self, depth_m: Float32Array, normal: Float32Array, warped: ImageArray
@@ -284,5 +287,6 @@ class ImageRenderer:
         if self.completion is None:
             return warped
         # Rounded and clipped to whole grey levels.
-        added = cv2.add(warped, self.completion(depth_m, normal, warped), dtype=cv2.CV_8U)
+        with tracing.span("network"):
+            added = cv2.add(warped, self.completion(depth_m, normal, warped), dtype=cv2.CV_8U)
         return np.asarray(added, dtype=np.uint8)

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from harness import LockstepPress, sensor
@@ -17,9 +19,14 @@ LEARNED = replace(load_sensor("sensor_a"), noise=NoiseSpecification())
 PLAIN = replace(LEARNED, camera=replace(LEARNED.camera, residual=""))
 
 
-def test_the_network_completes_what_the_node_publishes() -> None:
+PARTS = ("gel", "solve", "touch", "view", "warp", "network", "message", "publish")
+
+
+def test_the_network_completes_what_the_node_publishes(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.json"
     place_m = (0.0, 0.0, LEARNED.gel.outer_radius_m - 1e-3)
-    with sensor(sensor=LEARNED.name, image_noise_levels=0.0, clock="lockstep") as (_, client):
+    options = {"image_noise_levels": 0.0, "clock": "lockstep", "trace": str(trace)}
+    with sensor(sensor=LEARNED.name, **options) as (_, client):
         frame = LockstepPress(client).frame_at(place_m)
 
     def seen_by(specification: SensorSpecification) -> np.ndarray:
@@ -28,3 +35,22 @@ def test_the_network_completes_what_the_node_publishes() -> None:
 
     assert np.array_equal(frame.image(), seen_by(LEARNED))
     assert not np.array_equal(frame.image(), seen_by(PLAIN))
+
+    check_trace(trace)
+
+
+def check_trace(trace: Path) -> None:
+    """The trace's parts lie within the message that asked for them, and fill most of its time."""
+    events = json.loads(trace.read_text().rstrip(",\n") + "]")
+    spans = [event for event in events if event["ph"] == "X"]
+    frame = max((s for s in spans if s["name"] == "receive indenter/pose"), key=lambda s: s["dur"])
+    begun, ended = frame["ts"], frame["ts"] + frame["dur"]
+    inside = [
+        span
+        for span in spans
+        if span["tid"] == frame["tid"] and begun <= span["ts"] and span["ts"] + span["dur"] <= ended
+    ]
+    assert set(PARTS) <= {span["name"] for span in inside}
+    outermost = ("gel", "view", "warp", "network", "message", "publish")
+    covered = sum(span["dur"] for span in inside if span["name"] in outermost)
+    assert 0.8 * frame["dur"] < covered <= frame["dur"]

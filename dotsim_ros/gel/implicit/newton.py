@@ -29,6 +29,7 @@ from dotsim_ros.gel.implicit.contact_problem import (
 )
 from dotsim_ros.gel.implicit.patch import NearMarkers, Patch
 from dotsim_ros.gel.implicit.tangent import ExactFactor, LocalFactor
+from dotsim_ros.io import tracing
 from dotsim_ros.io.arrays import BoolArray, FloatArray
 from dotsim_ros.specification import SolverSpecification
 
@@ -152,6 +153,7 @@ class Trace:
     def add(self, part: str, since: float) -> None:
         """Add the time since a reading of the clock to a part."""
         self.timings_s[part] = self.timings_s.get(part, 0.0) + time.perf_counter() - since
+        tracing.add(part, since)
 
 
 @dataclass(frozen=True)

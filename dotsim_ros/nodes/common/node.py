@@ -26,6 +26,7 @@ from rclpy.qos import QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
+from dotsim_ros.io import tracing
 from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common import topic_quality
 from dotsim_ros.nodes.common.clock_watch import ClockJump
@@ -57,6 +58,10 @@ BROKEN = 1
 """Exit status of a node that could not start, or go on, for a fault of its own."""
 STEPPED = ParameterDescriptor(
     description="with use_sim_time: go on only in the steps of a time_stepper, with others",
+    read_only=True,
+)
+TRACE = ParameterDescriptor(
+    description="file to write what the process does when, for Perfetto; empty: none",
     read_only=True,
 )
 
@@ -101,6 +106,8 @@ class WorkingNode(Node):
         self.stopping = Event()
         self._threads: list[Thread] = []
         self._ends: list[Event] = []
+        trace = str(self.declare_parameter("trace", "", TRACE).value)
+        self._traces = bool(trace) and tracing.begin(trace, self.label)
         is_simulated = bool(self.get_parameter("use_sim_time").value)
         self.is_stepped = bool(self.declare_parameter("stepped", False, STEPPED).value)
         if self.is_stepped and not is_simulated:
@@ -374,7 +381,8 @@ class WorkingNode(Node):
     def _attempt(self, topic: str, act: Callable[[], None]) -> None:
         """Do something with a message of a topic, which is left out where that fails."""
         try:
-            act()
+            with tracing.span(f"receive {topic}"):
+                act()
         except Exception as error:
             self.note_failure(f"a message on {topic} is left out", error)
 
@@ -421,15 +429,22 @@ class WorkingNode(Node):
         run: Callable[[float], None],
         broken: str,
     ) -> Callable[[], None]:
+        def traced(now_s: float) -> None:
+            with tracing.span(name):
+                run(now_s)
+
         if self._simulated is not None:
             return self._simulated.schedule.pace(
-                deadline_s, lambda now_s: self._watch(partial(run, now_s), broken)
+                deadline_s, lambda now_s: self._watch(partial(traced, now_s), broken)
             )
         is_over = Event()
 
         def loop() -> None:
-            while not is_over.wait(max(0.0, deadline_s() - time.monotonic())):
-                run(time.monotonic())
+            while True:
+                with tracing.span("wait"):
+                    if is_over.wait(max(0.0, deadline_s() - time.monotonic())):
+                        return
+                traced(time.monotonic())
 
         self._ends.append(is_over)
         thread = self.start_thread(name, loop, broken)
@@ -485,6 +500,8 @@ class WorkingNode(Node):
         for thread in self._threads:
             thread.join()
         super().destroy_node()
+        if self._traces and (failure := tracing.end()) is not None:
+            self.get_logger().warning(f"the trace is not whole: {failure}")
 
     # Health.
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -18,6 +19,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io import tracing
 from dotsim_ros.io.arrays import FloatArray, ImageArray
 from dotsim_ros.nodes.common.node import WorkingNode
 from dotsim_ros.nodes.tactile_sim.framing import Framing, encoded_pixels
@@ -153,37 +155,35 @@ class FramePublishers:
         optical: _Header = {"stamp_ns": stamp_ns, "frame_id": self._frames.optical_frame}
         base: _Header = {"stamp_ns": stamp_ns, "frame_id": self._frames.base_frame}
         if self._is_shown(self._image):
-            self._image.publish(self._image_message(moment.render().image, stamp_ns))
+            _send(self._image, self._image_message, moment.render().image, stamp_ns)
         if _is_read(self._camera_info):
-            self._camera_info.publish(self._camera_info_message(optical))
+            _send(self._camera_info, self._camera_info_message, optical)
         if _is_read(self._wrench):
             wrench = moment.gel.wrench
-            self._wrench.publish(
-                msg_adapters.encode_wrench_stamped(wrench.force_n, wrench.torque_nm, **base)
-            )
+            given = (wrench.force_n, wrench.torque_nm)
+            _send(self._wrench, msg_adapters.encode_wrench_stamped, *given, **base)
         if moment.pose is not None and _is_read(self._state):
             pose = moment.pose
-            self._state.publish(
-                msg_adapters.encode_pose_stamped(pose.position_m, pose.quaternion_xyzw, **base)
-            )
+            placed = (pose.position_m, pose.quaternion_xyzw)
+            _send(self._state, msg_adapters.encode_pose_stamped, *placed, **base)
         if self._is_shown(self._compressed):
-            seen = self._framed(self._noisy(moment.render().image, stamp_ns))
-            self._compressed.publish(self._compressed_message(seen, optical))
+            with tracing.span("message"):
+                seen = self._framed(self._noisy(moment.render().image, stamp_ns))
+            _send(self._compressed, self._compressed_message, seen, optical)
         self._publish_difference(moment, optical)
         self._publish_depth(moment, optical)
         if _is_read(self._points):
             rest_m, skin_m = self._sensor.skin.rest_position_m, moment.gel.skin_position_m
-            self._points.publish(
-                msg_adapters.encode_cloud(
-                    skin_m,
-                    normal=moment.skin_normal(),
-                    displacement_m=skin_m - rest_m,
-                    **base,
-                )
+            _send(
+                self._points,
+                msg_adapters.encode_cloud,
+                skin_m,
+                normal=moment.skin_normal(),
+                displacement_m=skin_m - rest_m,
+                **base,
             )
-
         if self._markers is not None and _is_read(self._markers):
-            self._markers.publish(self._markers_message(moment.gel.skin_position_m, base))
+            _send(self._markers, self._markers_message, moment.gel.skin_position_m, base)
 
     def _markers_message(self, skin_position_m: FloatArray, header: _Header) -> Any:
         assert self._sensor.markers is not None
@@ -234,37 +234,40 @@ class FramePublishers:
         if not (self._is_shown(plain) or self._is_shown(compressed)):
             return
         reference = self._sensor.idle_image if self._reference is None else self._reference
-        difference = difference_image(
-            self._framed(self._noisy(moment.render().image, header["stamp_ns"])),
-            self._framed(reference),
-            self._form.difference_gain,
-        )
+        with tracing.span("message"):
+            difference = difference_image(
+                self._framed(self._noisy(moment.render().image, header["stamp_ns"])),
+                self._framed(reference),
+                self._form.difference_gain,
+            )
         if self._is_shown(plain):
             encoding = self._form.encoding
             pixels = encoded_pixels(difference, encoding)
-            plain.publish(msg_adapters.encode_image(pixels, encoding=encoding, **header))
+            _send(plain, msg_adapters.encode_image, pixels, encoding=encoding, **header)
         if self._is_shown(compressed):
-            compressed.publish(self._compressed_message(difference, header))
+            _send(compressed, self._compressed_message, difference, header)
 
     def _publish_depth(self, moment: SensorMoment, header: _Header) -> None:
         if self._is_shown(self._depth):
             depth_m = moment.render().depth_m
-            if self._form.depth_convention == AXIAL:
-                depth_m = self._conversion().axial_m(depth_m)
-            # Never averaged: between skin and nothing lies no skin.
-            depth_m = self._framed(depth_m, interpolation=cv2.INTER_NEAREST)
-            self._depth.publish(msg_adapters.encode_image(depth_m, encoding="32FC1", **header))
+            with tracing.span("message"):
+                if self._form.depth_convention == AXIAL:
+                    depth_m = self._conversion().axial_m(depth_m)
+                # Never averaged: between skin and nothing lies no skin.
+                depth_m = self._framed(depth_m, interpolation=cv2.INTER_NEAREST)
+            _send(self._depth, msg_adapters.encode_image, depth_m, encoding="32FC1", **header)
         if not (self._is_shown(self._radius) or self._is_shown(self._radius_shown)):
             return
-        radius = radius_bytes(
-            self._conversion().radius_m(moment.render().depth_m), self._form.radius_limits_m
-        )
-        radius = self._framed(radius, interpolation=cv2.INTER_NEAREST)
+        with tracing.span("message"):
+            radius = radius_bytes(
+                self._conversion().radius_m(moment.render().depth_m), self._form.radius_limits_m
+            )
+            radius = self._framed(radius, interpolation=cv2.INTER_NEAREST)
         if self._is_shown(self._radius):
-            self._radius.publish(msg_adapters.encode_image(radius, encoding="8UC1", **header))
+            _send(self._radius, msg_adapters.encode_image, radius, encoding="8UC1", **header)
         if self._is_shown(self._radius_shown):
             grey = np.repeat(radius[..., None], 3, axis=2)
-            self._radius_shown.publish(msg_adapters.encode_image(grey, encoding="rgb8", **header))
+            _send(self._radius_shown, msg_adapters.encode_image, grey, encoding="rgb8", **header)
 
     def _conversion(self) -> DepthConversion:
         if self._depth_of is None:
@@ -314,6 +317,14 @@ def _beside(node: WorkingNode, topic: str, name: str) -> str:
     given = node.resolve_topic_name(name)
     is_renamed = given != node.resolve_topic_name(name, only_expand=True)
     return given if is_renamed else f"{topic.rpartition('/')[0]}/{name}"
+
+
+def _send(publisher: Publisher, encode: Callable[..., Any], *what: Any, **header: Any) -> None:
+    """Publish the message that something encodes."""
+    with tracing.span("message"):
+        message = encode(*what, **header)
+    with tracing.span("publish"):
+        publisher.publish(message)
 
 
 def _is_read(publisher: Publisher) -> bool:

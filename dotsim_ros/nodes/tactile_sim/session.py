@@ -19,6 +19,7 @@ from dotsim_ros.gel.implicit.gel import LARGEST_SUBSTEP_M
 from dotsim_ros.geometry.indenter import way_m
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import vertex_normals
+from dotsim_ros.io import tracing
 from dotsim_ros.io.arrays import FloatArray, ImageArray
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.live_effects import LiveEffects
@@ -66,7 +67,8 @@ class SensorMoment:
             self._seen_by = self._sensor.camera
             if self._camera is not None:
                 begun_s = time.perf_counter()
-                image = self._camera(frame)
+                with tracing.span("effects"):
+                    image = self._camera(frame)
                 spent_s = time.perf_counter() - begun_s
                 frame = replace(
                     frame, image=image, timings_s={**frame.timings_s, "effects": spent_s}
