@@ -34,13 +34,14 @@ def statistics_of(values: NDArray[Any]) -> Statistics:
     kept = [1] * len(shape)
     if len(shape) == 1 or shape[-1] <= LONGEST_VECTOR:
         kept[-1] = shape[-1]
-    numbers = numbers.reshape(-1, kept[-1])
+    # An entry's numbers side by side: several times as fast as along the first axis.
+    columns = np.ascontiguousarray(numbers.reshape(-1, kept[-1]).T)
     found = {
-        "min": numbers.min(axis=0),
-        "max": numbers.max(axis=0),
-        "mean": numbers.mean(axis=0),
-        "std": numbers.std(axis=0),
-        **dict(zip(QUANTILES, np.quantile(numbers, list(QUANTILES.values()), axis=0), strict=True)),
+        "min": columns.min(axis=1),
+        "max": columns.max(axis=1),
+        "mean": columns.mean(axis=1),
+        "std": columns.std(axis=1),
+        **dict(zip(QUANTILES, np.quantile(columns, list(QUANTILES.values()), axis=1), strict=True)),
     }
     shaped = {name: level.reshape(kept) for name, level in found.items()}
     return shaped | {"count": np.array([frame_count], dtype=np.int64)}

@@ -500,4 +500,5 @@ def _write_table(path: Path, table: Any) -> None:
     import pyarrow.parquet as parquet
 
     with whole_file(path) as part:
-        parquet.write_table(table, part, compression="zstd")
+        # Measured numbers hardly repeat: a dictionary of them costs time and room.
+        parquet.write_table(table, part, compression="zstd", use_dictionary=False)
