@@ -62,6 +62,11 @@ MUJOCO = [
 MJLAB = [
     "mjlab>=1.6",
 ]
+# environments on SAPIEN's simulation
+MANISKILL = [
+    "mani_skill>=3.0.1",
+    "sapien>=3.0",
+]
 ENVIRONMENTS = [
     "gymnasium>=1.0",
 ]
@@ -188,6 +193,7 @@ setup(
         "arm": ARM,
         "dataset": DATASET,
         "environments": [*ENVIRONMENTS, *MUJOCO],
+        "maniskill": MANISKILL,
         "mjlab": MJLAB,
         "mujoco": MUJOCO,
         "reinforcement": [*ENVIRONMENTS, *MUJOCO, *REINFORCEMENT],

@@ -62,6 +62,7 @@ KNOWN: dict[str, Callable[[], bool]] = {
     "cannot be built here": _without_program("gcc"),
     "needs the extra dataset": lambda: any(_without_module(name)() for name in ("av", "pyarrow")),
     "lerobot is not installed": _without_module("lerobot"),
+    "mani_skill is not installed": _without_module("mani_skill"),
     "mjlab is not installed": _without_module("mjlab"),
     "xarm_msgs is installed": lambda: not _without_module("xarm_msgs")(),
     "needs the right to mount": lambda: os.geteuid() != 0,
