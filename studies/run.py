@@ -200,6 +200,7 @@ STUDIES: dict[str, Study] = {
     "runtime": Study(15, "geometry.runtime:runtime"),
     "scale_out": Study(10, "speed.scale_out:scale_out"),
     "sensors": Study(5, "speed.sensors:sensors"),
+    "shear": Study(30, "reference.shear:shear"),
     "simulated_loop": Study(70, "trajectory.simulated_loop:simulated_loop"),
     "slip": Study(8, "slip:slip"),
     "slow_machine": Study(5, "speed.slow_machine:slow_machine"),

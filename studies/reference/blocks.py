@@ -141,6 +141,8 @@ def step_lines(
     procedure: Iterable[str],
     moved: Iterable[str],
     printed: Mapping[str, str],
+    *,
+    when: str = f"FREQUENCY={NEVER}",
 ) -> Iterator[str]:
     """Yield a step.
 
@@ -149,12 +151,13 @@ def step_lines(
         procedure: how it is solved.
         moved: what is moved by then.
         printed: at its end, of sets of nodes by their names: U or RF.
+        when: they are printed earlier too.
     """
     yield f"*STEP, NLGEOM, INC={increments}"
     yield from procedure
     yield "*BOUNDARY"
     yield from moved
     for name, quantity in printed.items():
-        yield f"*NODE PRINT, NSET={name}, FREQUENCY={NEVER}"
+        yield f"*NODE PRINT, NSET={name}, {when}"
         yield quantity
     yield "*END STEP"

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -14,10 +15,11 @@ import numpy as np
 from dotsim_ros.data.trajectory import Trajectory
 from dotsim_ros.gel.make import make_gel
 from dotsim_ros.geometry.indenter import Indenter, way_m
-from dotsim_ros.geometry.pose import interpolate
+from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.follow import GelAnswer
 
 STEP_S = 0.05
 """Time step of our gel; without effect, since it is quasi-static."""
@@ -35,8 +37,16 @@ def _root_mean_square(distance: FloatArray, weight: FloatArray) -> float:
     return float(np.sqrt((weight * distance**2).sum() / total)) if total > 0.0 else float("nan")
 
 
+def implicit_step(
+    specification: SensorSpecification, skin: SkinMesh, indenter: Indenter
+) -> Callable[[Pose, float], GelAnswer]:
+    """Return what moves the indenter of a sensor's implicit gel, without inertia, to a pose."""
+    solver = replace(specification.solver, dynamic=False)
+    return make_gel(replace(specification, solver=solver), skin, indenter).step
+
+
 def compare(
-    specification: SensorSpecification,
+    step: Callable[[Pose, float], GelAnswer],
     skin: SkinMesh,
     indenter: Indenter,
     trajectory: Trajectory,
@@ -44,14 +54,15 @@ def compare(
     """Return the comparison of every solved frame with contact.
 
     Args:
-        specification: the sensor that the reference was solved for.
+        step: moves our gel's indenter to a pose in so many seconds; the gel is at rest.
         skin: whose vertices the trajectory lists.
         indenter: the rigid shape.
         trajectory: with poses, skin and wrench; the first frame is without contact.
 
     Returns:
         Of each frame, with errors ours minus the reference's: `frame`, its number; `force_n` and
-        `our_force_n` (3,) of the gel on the indenter; of the reference's force `normal_n` along the
+        `our_force_n` (3,) of the gel on the indenter, `our_torque_nm` about
+        the base frame's origin; of the reference's force `normal_n` along the
         indenter's axis and `tangential_n` across it; `normal_error` along that axis and
         `tangential_error`, the length of the rest of the difference, as shares of the normal force;
         `force_error`, the length of the whole difference, as a share of the whole force;
@@ -63,15 +74,13 @@ def compare(
     """
     if trajectory.pose is None or trajectory.skin is None or trajectory.wrench is None:
         raise ValueError("a reference trajectory needs poses, skin and wrench")
-    quasi_static = replace(specification, solver=replace(specification.solver, dynamic=False))
-    gel = make_gel(quasi_static, skin, indenter)
     found = []
     poses = trajectory.pose.poses()
-    gel.step(poses[0], STEP_S)
+    step(poses[0], STEP_S)
     for frame, (before, pose) in enumerate(pairwise(poses), start=1):
         count = max(1, int(np.ceil(way_m(before, pose, indenter) / MOVE_M - 1e-9)))
         for k in range(1, count + 1):
-            ours = gel.step(interpolate(before, pose, k / count), STEP_S)
+            ours = step(interpolate(before, pose, k / count), STEP_S)
         reference = trajectory.skin.position_m[frame].astype(np.float64)
         distance = np.linalg.norm(ours.skin_position_m - reference, axis=1)
         near = indenter.distance_from(reference, pose) < CONTACT_BAND_M
@@ -84,6 +93,7 @@ def compare(
                 "frame": frame,
                 "force_n": force.tolist(),
                 "our_force_n": ours.wrench.force_n.tolist(),
+                "our_torque_nm": ours.wrench.torque_nm.tolist(),
                 "normal_n": normal,
                 "tangential_n": float(np.linalg.norm(force - normal * axis)),
                 "normal_error": normal_difference / abs(normal),

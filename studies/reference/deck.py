@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dotsim_ros.gel.implicit.contact import ONSET_M, SMOOTHING_M
 from dotsim_ros.gel.material import ElasticLaw
 from dotsim_ros.geometry.closed_mesh import IndenterMesh
-from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import ContactSpecification
 from studies.reference import blocks
@@ -41,6 +41,7 @@ class Deck:
         law: of the gel.
         contact: friction and stiffness; frictionless without a coefficient.
         controls: of the increments, one for each pose but the first.
+        frames: of each step, evenly spaced; one without.
 
     Raises:
         ValueError: as many controls as steps are needed.
@@ -52,6 +53,7 @@ class Deck:
     law: ElasticLaw
     contact: ContactSpecification
     controls: Sequence[StepControl]
+    frames: Sequence[int] = ()
 
     def __post_init__(self) -> None:
         if len(self.controls) != len(self.poses) - 1:
@@ -59,6 +61,23 @@ class Deck:
                 f"{len(self.controls)} step controls for {len(self.poses)} poses, expected one for "
                 "each pose but the first"
             )
+
+    def frame_times(self) -> FloatArray:
+        """Return when the frames but the first are printed; a step takes 1."""
+        counts = self.frames or [1] * len(self.controls)
+        return np.concatenate([k + np.arange(1, n + 1) / n for k, n in enumerate(counts)])
+
+    def frame_poses(self) -> list[Pose]:
+        """Return the indenter's poses in the frames. Within a step each of its nodes moves along a
+        straight line: turns of more than a few degrees need steps of their own."""
+        steps = np.ceil(self.frame_times() - 1e-9).astype(int).tolist()
+        return [
+            self.poses[0],
+            *(
+                interpolate(self.poses[step - 1], self.poses[step], time - step + 1)
+                for step, time in zip(steps, self.frame_times().tolist(), strict=True)
+            ),
+        ]
 
     @property
     def gel_node_count(self) -> int:
@@ -100,6 +119,9 @@ class Deck:
         yield from blocks.rigid_lines("INDENTER")
         yield from blocks.contact_lines(self.law, self.contact)
         yield from self.support_lines()
+        for index, count in enumerate(self.frames):
+            yield f"*TIME POINTS, NAME=FRAMES{index}"
+            yield from (f"{k / count:.9e}" for k in range(1, count + 1))
         for index, (control, pose) in enumerate(zip(self.controls, self.poses[1:], strict=True)):
             moved_mm = (MM * (pose.apply(local) - start)).tolist()
             yield from blocks.step_lines(
@@ -111,6 +133,7 @@ class Deck:
                     for axis, value in enumerate(vector, start=1)
                 ),
                 {"SKIN": "U", "INDENTER": "RF"},
+                **({"when": f"TIME POINTS=FRAMES{index}"} if self.frames else {}),
             )
 
     def matter_lines(self) -> Iterator[str]:

@@ -23,7 +23,7 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray, IntArray
 
 GROWTH = 1.35
-"""Largest ratio of the sizes of two neighbouring elements."""
+"""Usual largest ratio of the sizes of two neighbouring elements."""
 
 SQUARE_SHARE = 0.86
 """Half the side of the middle block over the radius that it covers: its corners are drawn in and
@@ -138,12 +138,13 @@ def _cells(shape: tuple[int, int]) -> IntArray:
     )
 
 
-def _disc(middle: float, step: float) -> tuple[FloatArray, IntArray]:
+def _disc(middle: float, step: float, growth: float) -> tuple[FloatArray, IntArray]:
     """Return points (P, 2), angle times direction, and cells (C, 9) of the divided disc.
 
     Args:
         middle: angle that the square block covers, rad.
         step: size of its cells, rad.
+        growth: largest ratio of the sizes of two neighbouring rings around it.
     """
     count = 2 * max(1, int(np.ceil(middle / step)))
     across = halved_marks(np.linspace(-1.0, 1.0, count + 1))
@@ -161,7 +162,8 @@ def _disc(middle: float, step: float) -> tuple[FloatArray, IntArray]:
     points = np.where((x == 0.0)[..., None] & (y == 0.0)[..., None], 0.0, points)
     blocks = [points.reshape(-1, 2)]
     cells = [_cells((len(across), len(across)))]
-    rings = middle + halved_marks(growing_marks(0.5 * np.pi - middle, middle / (0.5 * count) * 1.2))
+    outer = middle / (0.5 * count) * 1.2
+    rings = middle + halved_marks(growing_marks(0.5 * np.pi - middle, outer, largest_ratio=growth))
     along, width = np.meshgrid(rings, across, indexing="ij")
     block = _disc_points(width, along, middle).reshape(-1, 2)
     for quarter in range(4):
@@ -192,7 +194,12 @@ def _on_hemisphere(points: FloatArray, pole: FloatArray) -> FloatArray:
 
 
 def dome_mesh(
-    *, core_radius_m: float, outer_radius_m: float, press: MeshedPress, spacing_m: float
+    *,
+    core_radius_m: float,
+    outer_radius_m: float,
+    press: MeshedPress,
+    spacing_m: float,
+    growth: float = GROWTH,
 ) -> DomeMesh:
     """Return the mesh of a dome shell.
 
@@ -201,6 +208,7 @@ def dome_mesh(
         outer_radius_m: the skin at rest.
         press: where it is pressed: the middle block.
         spacing_m: size of the elements there.
+        growth: largest ratio of the sizes of two neighbouring elements.
 
     Raises:
         ValueError: no shell, or a spacing that does not fit into it.
@@ -217,9 +225,11 @@ def dome_mesh(
         )
     # Elsewhere the rings would have no room to grow.
     middle = min(press.radius_m / outer_radius_m, 0.6)
-    points, cells = _disc(middle, spacing_m / outer_radius_m)
+    points, cells = _disc(middle, spacing_m / outer_radius_m, growth)
     direction = _on_hemisphere(points, press.pole)
-    depth = halved_marks(growing_marks(outer_radius_m - core_radius_m, spacing_m))
+    depth = halved_marks(
+        growing_marks(outer_radius_m - core_radius_m, spacing_m, largest_ratio=growth)
+    )
     radii = (outer_radius_m - depth)[::-1]
     node = (radii[:, None, None] * direction).reshape(-1, 3)
     count = len(points)

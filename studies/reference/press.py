@@ -23,7 +23,7 @@ from dotsim_ros.specification import SensorSpecification
 from studies.reference.axisymmetric import AxisymmetricSettings
 from studies.reference.blocks import StepControl
 from studies.reference.deck import Deck, near_part
-from studies.reference.mesh import dome_mesh, pressed_place
+from studies.reference.mesh import GROWTH, dome_mesh, pressed_place
 
 START_GAP_M = 20e-6
 """Gap between skin and tip in the first frame, so that it is one without contact."""
@@ -43,7 +43,9 @@ class ReferenceSettings:
             are chords: on a sphere of 4 mm those of 0.2 mm lie at most 1.3 um inside.
         reach_m: the part of the indenter this close to the gel at rest can touch it.
         control: of the increments of moves along the indenter's axis.
-        drag_control: of moves across it, where much of the contact begins to slip at once.
+        drag_control: of moves across it and of turns, where much of the contact begins to slip at
+            once.
+        growth: largest ratio of the sizes of two neighbouring elements.
     """
 
     spacing_m: float = 1.0e-3
@@ -53,6 +55,7 @@ class ReferenceSettings:
     drag_control: StepControl = field(
         default_factory=lambda: StepControl(first=0.1, smallest=1e-4, largest=0.5)
     )
+    growth: float = GROWTH
 
 
 def press_poses(
@@ -114,6 +117,7 @@ def reference_deck(
         outer_radius_m=gel.outer_radius_m,
         press=place,
         spacing_m=settings.spacing_m,
+        growth=settings.growth,
     )
     surface = indenter_surface(indenter, settings.surface_step_m)
     clearance = np.min(
@@ -124,7 +128,7 @@ def reference_deck(
     for start, end in pairwise(poses):
         move = end.position_m - start.position_m
         along = abs(float(move @ end.rotation()[:, 2]))
-        is_drag = along < 0.5 * float(np.linalg.norm(move))
+        is_drag = along <= 0.5 * float(np.linalg.norm(move))
         controls.append(settings.drag_control if is_drag else settings.control)
     return Deck(
         mesh,
@@ -195,12 +199,8 @@ class ReferencePress:
 
     def notes(self) -> dict[str, Any]:
         """Return what the trajectory depends on next to the indenter's shape, as plain values."""
-        s = self.specification
-        sections = {"gel": s.gel, "material": s.material, "contact": s.contact}
-        sensor = {"name": s.name} | {name: _plain(part) for name, part in sections.items()}
         return {
-            "sensor": sensor,
-            "settings": _plain(self.settings),
+            **notes_of(self.specification, self.settings),
             "press": {
                 "depth_m": self.depth_m,
                 "frame_count": self.frame_count,
@@ -209,6 +209,16 @@ class ReferencePress:
                 "shear_m": self.shear_m,
             },
         }
+
+
+def notes_of(
+    specification: SensorSpecification, settings: ReferenceSettings | AxisymmetricSettings
+) -> dict[str, Any]:
+    """Return what every trajectory of a sensor and settings depends on, as plain values."""
+    s = specification
+    sections = {"gel": s.gel, "material": s.material, "contact": s.contact}
+    sensor = {"name": s.name} | {name: _plain(part) for name, part in sections.items()}
+    return {"sensor": sensor, "settings": _plain(settings)}
 
 
 def _plain(part: Any) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.specification import load_sensor
 from studies.reference.axisymmetric import AxisymmetricSettings
-from studies.reference.comparison import compare
+from studies.reference.comparison import compare, implicit_step
 from studies.reference.press import ReferencePress, ReferenceSettings
 from studies.reference.results import FINE_STEP_M, solved_press
 from studies.reference.run import CalculixError, calculix_version
@@ -131,7 +131,8 @@ def reference_presses(
                 print(f"{press.name}: {error}")
                 continue
             data_set.add(trajectory, indenter, notes, failure=solution.failure)
-            for row in compare(specification, skin, indenter, trajectory):
+            step = implicit_step(specification, skin, indenter)
+            for row in compare(step, skin, indenter, trajectory):
                 iterations = solution.steps[row["frame"] - 1].iterations
                 rows.append({"trajectory": press.name, "iterations": iterations, **row})
             if solution.failure:

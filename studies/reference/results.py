@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.data.data_set import INDEX, find_indenter, read_data_set
+from dotsim_ros.data.motion import at_speed
 from dotsim_ros.data.trajectory import (
     PoseChannel,
     SkinChannel,
@@ -29,6 +30,7 @@ from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.documents import read_yaml
 from dotsim_ros.specification import SensorSpecification, sensor_from
 from studies.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, dome_section
+from studies.reference.deck import Deck
 from studies.reference.mesh import interpolate_skin
 from studies.reference.press import ReferencePress, reference_deck
 from studies.reference.run import Solution, SolvedStep, solve, solve_section
@@ -37,15 +39,14 @@ FINE_STEP_M = 50e-6
 """Length of the edges in an indenter's mesh, so that it is none of what two solvers differ by."""
 
 SPEED_M_S = 0.005
+TURN_RATE_RAD_S = 0.5
 FIRST_STAMP_NS = 1_000_000_000
 
 
 def stamps_ns(poses: Sequence[Pose]) -> NDArray[np.int64]:
-    """Return (F,) stamps of poses that follow each other at 5 mm/s, from 1 s."""
-    position = np.array([pose.position_m for pose in poses])
-    moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    time = np.concatenate([[0.0], np.cumsum(moved)]) / SPEED_M_S
-    return FIRST_STAMP_NS + np.round(1e9 * time).astype(np.int64)
+    """Return (F,) stamps of poses that follow each other at 5 mm/s, or 0.5 rad/s, from 1 s."""
+    motion = at_speed(poses, speed_m_s=SPEED_M_S, rotation_rate_rad_s=TURN_RATE_RAD_S)
+    return FIRST_STAMP_NS + np.round(1e9 * motion.time_s).astype(np.int64)
 
 
 def _trajectory(
@@ -99,10 +100,27 @@ def solved_press(
     if isinstance(press.settings, AxisymmetricSettings):
         return _solved_section(press, press.settings, skin, thread_count, keep, time_limit_s)
     deck = reference_deck(press.specification, skin, press.indenter, press.poses(), press.settings)
-    solution = solve(deck, thread_count=thread_count, keep=keep, time_limit_s=time_limit_s)
+    return solved_deck(
+        deck,
+        skin,
+        press.name,
+        thread_count=thread_count,
+        keep=keep,
+        time_limit_s=time_limit_s,
+    )
+
+
+def solved_deck(
+    deck: Deck, skin: SkinMesh, name: str, **effort: Any
+) -> tuple[Trajectory, Solution]:
+    """Run CalculiX on any deck; return the frames it solved, under a name, and what it took.
+
+    Further arguments and errors are those of `solve`.
+    """
+    solution = solve(deck, **effort)
     at = interpolate_skin(deck.gel, skin.rest_position_m)
     moved = [at.of(step.displacement_m) for step in solution.steps]
-    return _trajectory(deck.poses, moved, solution.steps, skin, press.name), solution
+    return _trajectory(deck.frame_poses(), moved, solution.steps, skin, name), solution
 
 
 def _solved_section(

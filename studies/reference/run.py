@@ -24,6 +24,8 @@ from studies.reference.deck import Deck
 EXECUTABLES = ("ccx", "ccx_2.21", "ccx_2.22", "ccx_2.20")
 INSTALL = "apt-get install calculix-ccx"
 JOB = "press"
+SAME_TIME = 1e-4
+"""Times that are nearer are one: CalculiX prints seven digits."""
 
 _HEADING = re.compile(r"^ (displacements|forces).* for set (\w+) and time\s+(\S+)")
 _ERROR = re.compile(r"\*ERROR.*")
@@ -130,6 +132,7 @@ def run(
     *,
     held: str,
     thread_count: int = 1,
+    times: FloatArray | None = None,
     keep: Path | None = None,
     time_limit_s: float | None = None,
 ) -> Printed:
@@ -139,6 +142,7 @@ def run(
         text: of the input file.
         held: set of nodes whose forces are printed; the displacements are those of SKIN.
         thread_count: of CalculiX's equation solver.
+        times: whose tables are kept; None for all that are printed.
         keep: folder for its files; without it they are removed.
         time_limit_s: it is ended after this long, and what it has solved by then is returned.
 
@@ -151,12 +155,24 @@ def run(
         tables = read_tables(folder / f"{JOB}.dat")
         efforts = read_efforts(folder / f"{JOB}.sta")
     moved, forces = (
-        [rows for *of, rows in tables if of == asked]
+        _at(times, [(time, rows) for *of, time, rows in tables if of == asked])
         for asked in (["displacements", "SKIN"], ["forces", held])
     )
     count = min(len(moved), len(forces)) if moved else len(forces)
     effort = [efforts.get(number, (0, 0)) for number in range(1, count + 1)]
     return Printed(moved[:count], forces[:count], effort, reason)
+
+
+def _at(times: FloatArray | None, tables: list[tuple[float, FloatArray]]) -> list[FloatArray]:
+    """Return the tables at times, as far as there are any; all of them without times."""
+    if times is None or not tables:
+        return [rows for _, rows in tables]
+    apart = np.abs(times[:, None] - np.array([time for time, _ in tables]))
+    return [
+        tables[k][1]
+        for k, left in zip(apart.argmin(1), apart.min(1), strict=True)
+        if left < SAME_TIME
+    ]
 
 
 def solve(deck: Deck, **effort: Any) -> Solution:
@@ -166,11 +182,12 @@ def solve(deck: Deck, **effort: Any) -> Solution:
         CalculixMissingError: it is not installed.
         CalculixError: it solved no step at all.
     """
-    printed = run(deck.text(), held="INDENTER", **effort)
+    poses, times = deck.frame_poses(), deck.frame_times() if deck.frames else None
+    printed = run(deck.text(), held="INDENTER", times=times, **effort)
     local = deck.indenter_nodes_m()
     steps = []
     for moved, held, pose, spent in zip(
-        printed.moved, printed.held, deck.poses[1:], printed.effort, strict=False
+        printed.moved, printed.held, poses[1:], printed.effort, strict=False
     ):
         displacement = np.zeros((deck.gel_node_count, 3))
         displacement[moved[:, 0].astype(np.int64) - 1] = moved[:, 1:] / MM
@@ -179,7 +196,7 @@ def solve(deck: Deck, **effort: Any) -> Solution:
         force = -held[:, 1:]
         torque = np.cross(pose.apply(local[node]), force).sum(axis=0)
         steps.append(SolvedStep(displacement, force.sum(axis=0), torque, *spent))
-    return Solution(tuple(steps), printed.failure(len(deck.poses) - 1))
+    return Solution(tuple(steps), printed.failure(len(poses) - 1))
 
 
 def solve_section(deck: AxisymmetricDeck, **effort: Any) -> Solution:
@@ -231,24 +248,24 @@ def execute(text: str, folder: Path, *, thread_count: int, time_limit_s: float |
     return "" if status == 0 else f"it ended with status {status}"
 
 
-def read_tables(path: Path) -> list[tuple[str, str, FloatArray]]:
-    """Return quantity, set and rows (node, x, y, z) of each table in a .dat file.
+def read_tables(path: Path) -> list[tuple[str, str, float, FloatArray]]:
+    """Return quantity, set, time and rows (node, x, y, z) of each table in a .dat file.
 
     Raises:
         ValueError: a row is not four numbers, as where the file ends early.
     """
     if not path.is_file():
         return []
-    tables: list[tuple[str, str, list[list[float]]]] = []
+    tables: list[tuple[str, str, float, list[list[float]]]] = []
     for number, line in enumerate(path.read_text(encoding="ascii").splitlines(), start=1):
         heading = _HEADING.match(line)
         if heading:
-            tables.append((heading.group(1), heading.group(2), []))
+            tables.append((heading.group(1), heading.group(2), float(heading.group(3)), []))
         elif line.strip() and tables:
-            tables[-1][2].append(_row_of(line, f"{path}, line {number}"))
+            tables[-1][3].append(_row_of(line, f"{path}, line {number}"))
     return [
-        (quantity, name, np.array(rows, dtype=np.float64))
-        for quantity, name, rows in tables
+        (quantity, name, time, np.array(rows, dtype=np.float64))
+        for quantity, name, time, rows in tables
         if rows
     ]
 

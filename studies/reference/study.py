@@ -39,7 +39,7 @@ from dotsim_ros.specification import (
     load_sensor,
 )
 from studies.reference.axisymmetric import AxisymmetricSettings
-from studies.reference.comparison import compare
+from studies.reference.comparison import compare, implicit_step
 from studies.reference.press import ReferencePress, ReferenceSettings
 from studies.reference.results import FINE_STEP_M, SolvedPress, read_solved_presses, solved_press
 from studies.reference.run import CalculixError, calculix_version
@@ -196,7 +196,8 @@ def rows_of(press: SolvedPress, method: Method) -> list[dict[str, Any]]:
     own = press.specification
     solver = replace(own.solver, grid_spacing_m=method.spacing_m, refined=method.refined)
     specification = replace(own, solver=solver)
-    request = press.notes["press"]
+    skin, request = skin_of(own.gel), press.notes["press"]
+    step = implicit_step(specification, skin, press.indenter)
     tips = [pose.position_m for pose in press.trajectory.pose.poses()]
     pressed = own.gel.outer_radius_m - np.linalg.norm(tips, axis=1)
     return [
@@ -210,7 +211,7 @@ def rows_of(press: SolvedPress, method: Method) -> list[dict[str, Any]]:
             "method": method.name,
             **row,
         }
-        for row in compare(specification, skin_of(own.gel), press.indenter, press.trajectory)
+        for row in compare(step, skin, press.indenter, press.trajectory)
     ]
 
 
