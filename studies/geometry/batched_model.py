@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A batch of one gel, moved and judged as the implicit gel is."""
+"""Gels of one batch, moved and judged as the implicit gel is."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class OneState:
     left_m: float
 
 
-class OneOfBatch:
-    """A batch of one gel.
+class GelsOfBatch:
+    """One batch of gels, each as `ImplicitGel` gives its own.
 
     Args:
         specification: of the sensor.
-        grid: of the gel.
-        indenter: the rigid shape.
+        grid: of the gels.
+        indenters: the rigid shape of each.
         skin: whose vertices are the markers; None for the sensor's own.
     """
 
@@ -47,27 +47,30 @@ class OneOfBatch:
         self,
         specification: SensorSpecification,
         grid: Grid,
-        indenter: Indenter,
+        indenters: Sequence[Indenter],
         skin: SkinMesh | None = None,
     ) -> None:
-        self._gel = BatchedGel(specification, indenter, 1, grid=grid, skin=skin)
-        self.reset, self.set_indenter = self._gel.reset, self._gel.set_indenters
+        self._gel = BatchedGel(specification, indenters, len(indenters), grid=grid, skin=skin)
+        self.reset, self.set_indenters = self._gel.reset, self._gel.set_indenters
 
     def step(self, poses: Sequence[Pose], dt_s: float) -> list[OneState]:
-        """Move the indenter to the pose."""
-        [pose] = poses
-        position_m, quaternion = np.array([pose.position_m]), np.array([pose.quaternion_xyzw])
-        state = self._gel.step(position_m, quaternion, dt_s)
-        left_m = float(state.left_m[0])
-        force_n, torque_nm = (each[0].double().numpy() for each in (state.force_n, state.torque_nm))
+        """Move each indenter to its pose."""
+        state = self._gel.step(
+            np.array([pose.position_m for pose in poses]),
+            np.array([pose.quaternion_xyzw for pose in poses]),
+            dt_s,
+        )
+        skin_m = state.skin_position_m.double().numpy()
+        force_n, torque_nm = state.force_n.double().numpy(), state.torque_nm.double().numpy()
         return [
             OneState(
-                state.skin_position_m[0].double().numpy(),
-                Wrench(force_n, torque_nm),
-                float(state.max_penetration_m[0]),
+                skin_m[b],
+                Wrench(force_n[b], torque_nm[b]),
+                float(state.max_penetration_m[b]),
                 left_m < self._gel.effort.tolerance_m,
                 left_m,
             )
+            for b, left_m in enumerate(state.left_m.tolist())
         ]
 
 
@@ -82,7 +85,7 @@ class BatchedModel:
     def __init__(self, specification: SensorSpecification, grid: Grid) -> None:
         self.specification, self.name = specification, f"batched, {grid}"
         self._grid = grid
-        self._gel: OneOfBatch | None = None
+        self._gel: GelsOfBatch | None = None
         self._skin: SkinMesh | None = None
 
     def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
@@ -92,11 +95,11 @@ class BatchedModel:
             SolveError: the gel could not be solved.
         """
         if self._gel is None or self._skin is not skin:
-            self._gel = OneOfBatch(self.specification, self._grid, indenter, skin)
+            self._gel = GelsOfBatch(self.specification, self._grid, [indenter], skin)
             self._skin = skin
         gel = self._gel
         # At rest too.
-        gel.set_indenter(indenter)
+        gel.set_indenters(indenter)
 
         def step(pose: Pose, dt_s: float) -> OneState:
             [state] = gel.step([pose], dt_s)

@@ -20,6 +20,7 @@ from dotsim_ros.specification import SensorSpecification, load_sensor
 torch = pytest.importorskip("torch")
 
 from dotsim_ros.gel.batched.gel import BatchedGel, BatchState, Effort  # noqa: E402
+from dotsim_ros.gel.batched.mixing import Mixing  # noqa: E402
 from dotsim_ros.gel.batched.rest_compliance import RestCompliance, kept_blocks  # noqa: E402
 from studies.geometry.batched_model import BatchedModel  # noqa: E402
 from studies.geometry.implicit_model import ImplicitModel  # noqa: E402
@@ -100,6 +101,19 @@ def test_the_model_of_studies_presses_the_skin_that_was_measured():
     assert found.skin_position_m.shape == (4, measured.vertex_count, 3)
     assert np.linalg.norm(found.skin_position_m - right.skin_position_m, axis=2).max() < 20e-6
     np.testing.assert_allclose(found.force_n, right.force_n, atol=0.02 * right.force_n.max())
+
+
+@pytest.mark.parametrize("curvature", [0.0, 0.3])
+def test_mixing_converges_where_steps_alone_would_grow_elevenfold(curvature):
+    """The gel's stiffness as a multiple of that at rest: what it is under a ball 3 mm deep."""
+    torch.manual_seed(0)
+    multiple = torch.logspace(-1.0, np.log10(12.0), 300).view(100, 3, 1)
+    end = 1e-4 * torch.randn(100, 3, 1)
+    mixing, point = Mixing(1, 300, 12, "cpu"), torch.zeros(100, 3, 1)
+    for _ in range(48):
+        off = end - point
+        point = point + mixing.step(point, multiple * off * (1.0 + curvature * (off / 1e-4) ** 2))
+    assert (point - end).norm() < 0.02 * end.norm()
 
 
 def test_a_gel_does_not_depend_on_the_others(indenters):
