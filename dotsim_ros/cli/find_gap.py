@@ -50,6 +50,7 @@ def run(
     discrepancy: Path | None = None,
     optical_noise: Path | None = None,
     fit_optical_noise: Path | None = None,
+    next_: Whole = 0,
     json: Path | None = None,
     demo: bool = False,
     show_example: Annotated[bool, Parameter(name="--example")] = False,
@@ -73,6 +74,8 @@ def run(
         optical_noise: file of the images' noise; without it the shipped one.
         fit_optical_noise: only estimate the images' noise from data without an effect, and write it
             to this file.
+        next_: trajectories to record next where the answer is not sure, those that decide most in
+            a second of the robot's time: written to OUT/next.
         json: write the findings here as well.
         demo: search a shipped set that finite elements solved; --seed says which of three.
         show_example: search nothing: print where the finished report of --demo lies, to open in a
@@ -126,6 +129,7 @@ def run(
         seed=seed,
         discrepancy=discrepancy,
         optical_noise=optical_noise,
+        next_presses=next_,
         **common,
     )
     if json is not None:
@@ -133,6 +137,8 @@ def run(
     print(f"\n{one_line(findings.sentence)}")
     for text in findings.warnings:
         print(f"- {one_line(text)}")
+    if findings.questions:
+        print(f"{out / 'next'}: {len(findings.questions)} to record")
     print(f"{out / HTML}: {findings.verdict.value}")
     return findings.verdict.exit_status
 
@@ -140,7 +146,7 @@ def run(
 def _check_alone(given: Mapping[str, Any], why: str, taken: tuple[str, ...]) -> None:
     """Refuse options that are set and not taken."""
     others = [
-        f"--{name.replace('_', '-')}"
+        f"--{name.strip('_').replace('_', '-')}"
         for name, parameter in inspect.signature(run).parameters.items()
         if name not in taken and given[name] != parameter.default
     ]

@@ -19,6 +19,7 @@ from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.gap.findings import Findings, OpticalFindings, Verdict
 from dotsim_ros.gap.images.find import find_optical, fit_noise_of_images, unusable_images
 from dotsim_ros.gap.images.null import OpticalNull, load_optical_null, save_optical_null
+from dotsim_ros.gap.next_presses import FOLDER, write_questions
 from dotsim_ros.gap.presses.covariance import load_discrepancy
 from dotsim_ros.gap.presses.search import read_measurements, search_presses
 from dotsim_ros.gap.presses.search_state import CHANNELS, MECHANICAL, GapRequest, Progress
@@ -26,7 +27,7 @@ from dotsim_ros.gap.report.write import write_report
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.io.cores import single_threaded
 from dotsim_ros.io.files import check_output_folder
-from dotsim_ros.io.replacement import finish_replacement
+from dotsim_ros.io.replacement import finish_replacement, remove_made
 from dotsim_ros.io.worker_pool.pool import Crew
 from dotsim_ros.specification import SensorSpecification, given_sensor
 from dotsim_ros.twin.simulator import check_is_quasi_static
@@ -58,6 +59,7 @@ def find_gap(
     workers: Crew = 2,
     discrepancy: str | Path | None = None,
     optical_noise: str | Path | None = None,
+    next_presses: int = 0,
     progress: Progress | None = None,
 ) -> Findings:
     """Find where a calibrated sensor and its measurements disagree, and name the missing effect.
@@ -82,6 +84,8 @@ def find_gap(
         workers: how many processes, or workers of Ray.
         discrepancy: file of the model's own error; by default the shipped one.
         optical_noise: file of the images' noise; by default the shipped one.
+        next_presses: so many trajectories to record next are found where the presses give no sure
+            answer, and written to `out/next` in place of those before.
         progress: called with each step's name, how much of it is done, and of how much.
 
     Returns:
@@ -91,6 +95,7 @@ def find_gap(
         FileNotFoundError: a data set, sensor, indenter or file that is not there.
         ValueError: an argument that is out of range or names nothing, before anything is read of
             the data or written.
+        FileExistsError: there is something at `out/next` that was not made so.
     """
     if budget == 0:
         raise ValueError("budget is 0, expected 1 or more")
@@ -109,6 +114,7 @@ def find_gap(
         workers=workers,
         discrepancy=_path(discrepancy),
         optical_noise=_path(optical_noise),
+        next_presses=next_presses,
     )
     library = request.library()
     _effects_of(request)
@@ -130,6 +136,8 @@ def find_gap(
             if out is not None:
                 check_output_folder(out)
                 finish_replacement(out)
+                if next_presses:
+                    remove_made(Path(out), FOLDER)
             findings, overlay = find_gap_with_images(request, progress or _silent)
         except EffectError:  # says nothing of the data
             raise
@@ -137,6 +145,8 @@ def find_gap(
             findings = Findings(Verdict.UNUSABLE, f"The data cannot be used: {error}")
     if out is not None:
         write_report(out, findings, effects=library, overlay=overlay)
+        if findings.questions:
+            write_questions(Path(out), findings.questions, data_set, request.indenters)
     return findings
 
 

@@ -155,6 +155,57 @@ class Pair:
 
 
 @dataclass(frozen=True)
+class Explanation:
+    """What may still explain the presses.
+
+    Attributes:
+        name: of an effect, of two that act together joined by "+", "no_gap" or "unknown".
+        title: the same within a sentence.
+        weight: its probability among all that are listed, by the present data.
+    """
+
+    name: str
+    title: str
+    weight: float
+
+
+APART_NATS = 2.3
+"""From this distance on two explanations are told apart: with an error of at most 5 %."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """A trajectory to record next.
+
+    Attributes:
+        name: for its bag; one of this name is searched, never held out.
+        indenter: name of what presses.
+        path: where, how deep and how fast, in words.
+        seconds: of the robot's time, the way there included.
+        information_nats: that it gives, at least, of which explanation is right, next to the
+            questions before it.
+        apart_nats: how far the most probable explanation and each other one, by name, expect
+            different recordings: the Bhattacharyya distance of this question alone.
+        stamp_s: (F,) from its begin.
+        poses: (F, 7) of the indenter, base frame: position in m, quaternion with the scalar last.
+    """
+
+    name: str
+    indenter: str
+    path: str
+    seconds: float
+    information_nats: float
+    apart_nats: dict[str, float]
+    stamp_s: list[float]
+    poses: list[list[float]]
+
+    @property
+    def separates(self) -> list[str]:
+        """Names of the explanations that it tells from the most probable one."""
+        return [name for name, nats in self.apart_nats.items() if nats >= APART_NATS]
+
+
+@dataclass(frozen=True)
 class TileGap:
     """Residuals in one tile of the image: RMS of its observables in expected deviations.
 
@@ -250,6 +301,9 @@ class Findings:
         solve_count, seconds: the cost.
         data_hash: of the measured data.
         sensor: name of the sensor's file.
+        explanations: what may still explain the presses, the most probable first; empty where it
+            was not asked for, or the answer is sure.
+        questions: what to record next, the most information in a second first; empty likewise.
         optical: findings in the images, whose names, sentence and warnings are among those above;
             None where none were searched.
     """
@@ -281,6 +335,8 @@ class Findings:
     seconds: float = 0.0
     data_hash: str = ""
     sensor: str = ""
+    explanations: tuple[Explanation, ...] = ()
+    questions: tuple[Question, ...] = ()
     optical: OpticalFindings | None = None
 
 

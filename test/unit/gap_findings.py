@@ -13,8 +13,10 @@ from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap.findings import (
     Candidate,
     ChannelGap,
+    Explanation,
     Findings,
     Pair,
+    Question,
     ResidualPlace,
     Verdict,
     WorstFrame,
@@ -114,6 +116,23 @@ def of_set() -> Findings:
         worst=None,
         pairs=(
             Pair("coulomb_slip", "pose_offset", -0.98, 1.4, "slides in two opposite directions"),
+        ),
+        explanations=(
+            Explanation("coulomb_slip", "Coulomb slip at another friction", 0.62),
+            Explanation("pose_offset", "pose offset", 0.37),
+            Explanation("unknown", "an effect outside the library", 0.01),
+        ),
+        questions=(
+            Question(
+                "asked_1_slide",
+                "ball",
+                "a slide of 4 mm, 2 mm deep, at 5 mm/s at the apex",
+                17.0,
+                0.52,
+                {"pose_offset": 4.1, "unknown": 1.2},
+                [0.0, 1.0],
+                [[0.0, 0.0, 0.0163, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0138, 0.0, 0.0, 0.0, 1.0]],
+            ),
         ),
     )
 

@@ -199,6 +199,10 @@ def test_a_set_comes_with_what_would_separate_it() -> None:
     assert "do not distinguish Coulomb slip at another friction from: Pose offset" in text
     assert "60 % of bootstrap repetitions" in text
     assert "the name is not stable" in text
+    rows = report_files(of_set(), {}, {})["report.md"].decode()
+    assert "| an effect outside the library | 1 % |" in rows
+    asked = "a slide of 4 mm, 2 mm deep, at 5 mm/s at the apex | 17 s | 0.52 | 1.8 | pose offset"
+    assert f"| asked_1_slide | ball | {asked} |" in rows
 
 
 def test_nothing_named_has_no_after() -> None:

@@ -150,7 +150,7 @@ def pattern_gain(search: Search) -> float:
 def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
     """Simulate the best effects at the sizes found, again and again; return them in order."""
     for _ in range(ROUNDS):
-        close = _close(ranked)
+        close = close_to_best(ranked)
         wanted: list[tuple[Ranked, Variant, float]] = []
         for entry in close:
             variant, size = _better_variant(search, entry), entry.trial.size
@@ -187,7 +187,7 @@ def _warn_once(search: Search, text: str) -> None:
         search.warnings.append(text)
 
 
-def _close(ranked: Sequence[Ranked]) -> list[Ranked]:
+def close_to_best(ranked: Sequence[Ranked]) -> list[Ranked]:
     """Return the effects that are worth a refit."""
     least = ranked[0].trial.gain - decision.CLOSE
     return [
@@ -229,7 +229,7 @@ def _better_variant(search: Search, entry: Ranked) -> Variant:
 
 def _decide(search: Search, ranked: list[Ranked]) -> Decision:
     """Return what the rule makes of effects."""
-    for entry in _close(ranked):
+    for entry in close_to_best(ranked):
         entry.explained = _explained(search, [entry])
         entry.held_out_gain = _held_out_gain(search, entry)
     able = [entry for entry in ranked if entry.is_past_limit]
@@ -237,7 +237,7 @@ def _decide(search: Search, ranked: list[Ranked]) -> Decision:
         return Decision(Verdict.UNKNOWN)
     best = able[0]
     doubted = Decision(Verdict.UNKNOWN)
-    pair = _pair(search, ranked)
+    pair = best_pair(search, ranked)
     if pair is not None:
         further = _gain(search, pair) - _gain(search, [best])
         if further > decision.FURTHER * _left(search, [best]):
@@ -358,7 +358,7 @@ def sizes_by_channel(search: Search, entry: Ranked) -> tuple[float, float] | Non
     return float(skin), float(force)
 
 
-def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
+def best_pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
     """Return the two effects that gain most together, None unless each gains more next to the other
     than its limit and what the other's law may be off by.
 
@@ -367,7 +367,7 @@ def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
     if len(ranked) < 2:
         return None
     pairs = []
-    for first in _close(ranked):
+    for first in close_to_best(ranked):
         second = _beside(search, first, [entry for entry in ranked if entry is not first])
         pair = [first, second]
         for _ in range(PAIR_ROUNDS):

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from dotsim_ros.data.measurement import Measurement, one_of_each, protocol_of, read_measurement
 from dotsim_ros.data.plausibility import check_same_shape
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import IMAGE
 from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.effects.simulate import EffectSolver, open_solver
@@ -29,6 +31,7 @@ from dotsim_ros.gap.presses.certainty import estimates_of
 from dotsim_ros.gap.presses.conclusions import findings_of
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy, noise_from_idle
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_case
+from dotsim_ros.gap.presses.questions import ASKED, with_questions
 from dotsim_ros.gap.presses.screening import excited_variants, planned_requests
 from dotsim_ros.gap.presses.search_state import MECHANICAL, GapRequest, Progress, Search
 from dotsim_ros.gap.presses.weighed import (
@@ -136,6 +139,8 @@ def search_presses(
             others = [other for other in named if other is not entry]
             entry.estimates = estimates_of(search, entry, others)
         findings, overlay = findings_of(search, measurement, reference, answer, silent)
+        if request.next_presses:
+            findings = with_questions(findings, search, answer, measurement.skin)
     if scale is not None and is_wrong(scale):
         findings, overlay = with_scale(findings, overlay, scale, library[EFFECT])
     seconds = time.monotonic() - begun_s
@@ -184,7 +189,7 @@ def _plan(
     progress("tables", 0, 1)
     solver.prepare([*calibration, *screening], tables)
     # Which of the repeated ones is held out makes no difference here.
-    held_out = one_of_each([protocol_of(r) for r in measured], np.random.default_rng(0))
+    held_out = _places_held_out(measured, np.random.default_rng(0))
     searched = [r for place, r in enumerate(measured) if place not in held_out]
     names = {recording.name for recording in searched}
     later = [one for one in screening if one.recording.name in names]
@@ -213,9 +218,17 @@ def progress_of_two_steps(progress: Progress, later: int) -> tuple[SolvesDone, S
 def _hold_out(case: Case, random: np.random.Generator) -> tuple[list[int], list[int]]:
     """Return trajectories to search, and to hold out: one of each repeated protocol."""
     measured = [n for n, t in enumerate(case.trajectories) if not t.is_reference]
-    places = one_of_each([protocol_of(case.trajectories[n].recording) for n in measured], random)
+    places = _places_held_out([case.trajectories[n].recording for n in measured], random)
     held_out = [measured[place] for place in places]
     return [n for n in range(len(case.trajectories)) if n not in held_out], held_out
+
+
+def _places_held_out(recordings: Sequence[Recording], random: np.random.Generator) -> list[int]:
+    """Return one place of each repeated protocol. What was asked for is none of them: it is to
+    decide, and what was held out before it was recorded stays so."""
+    places = [k for k, one in enumerate(recordings) if not one.name.startswith(ASKED)]
+    chosen = one_of_each([protocol_of(recordings[k]) for k in places], random)
+    return [places[k] for k in chosen]
 
 
 def simulate_effects(search: Search, progress: SolvesDone) -> tuple[list[Variant], list[str]]:

@@ -59,6 +59,7 @@ class GapRequest:
     workers: Crew = 2
     discrepancy: Path | None = None
     optical_noise: Path | None = None
+    next_presses: int = 0
 
     def __post_init__(self) -> None:
         # No file of the user's is run for it.
@@ -73,7 +74,11 @@ class GapRequest:
         if not 0.0 < self.alpha < 1.0:
             raise ValueError(f"alpha is {self.alpha}, expected between 0 and 1")
         check_workers(self.workers)
-        for name, count, least in (("budget", self.budget, 0), ("seed", self.seed, 0)):
+        for name, count, least in (
+            ("budget", self.budget, 0),
+            ("seed", self.seed, 0),
+            ("next_presses", self.next_presses, 0),
+        ):
             if count is not None and count < least:
                 raise ValueError(f"{name} is {count}, expected {least} or more")
         for path in (self.indenters, self.discrepancy, self.optical_noise):

@@ -87,6 +87,8 @@ def report_files(
         remaining=_remaining(gel),
         place_rows=_place_rows(gel),
         pair_rows=_pair_rows(gel),
+        explanation_rows=[(one.title, _percent(one.weight)) for one in gel.explanations],
+        question_rows=_question_rows(gel),
         silent_rows=[
             (c.title, effects[c.name].protocol if c.name in effects else "see the effect's file")
             for c in candidates
@@ -177,6 +179,22 @@ def _pair_rows(f: Findings) -> Rows:
             pair.best_trajectory or "-",
         )
         for pair in f.pairs
+    ]
+
+
+def _question_rows(f: Findings) -> Rows:
+    titles = {one.name: one.title for one in f.explanations}
+    return [
+        (
+            one.name,
+            one.indenter,
+            one.path,
+            f"{one.seconds:.0f} s",
+            f"{one.information_nats:.2g}",
+            f"{60.0 * one.information_nats / one.seconds:.2g}",
+            ", ".join(titles[name] for name in one.separates) or "-",
+        )
+        for one in f.questions
     ]
 
 

@@ -12,7 +12,7 @@ from dotsim_ros.data.recording import Phase
 from dotsim_ros.effects.effect import Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import ALL, ChannelGap, ResidualPlace
+from dotsim_ros.gap.findings import ALL, ChannelGap, Explanation, Question, ResidualPlace
 
 FEW = 4
 
@@ -123,6 +123,25 @@ def unknown(place: str, nearest: Sequence[Effect], reasons: Sequence[str]) -> st
         "Unknown effect: simulation and measurement disagree, and no effect of the library "
         f"explains it. It is largest in {place}. The nearest is: "
         f"{amid_all(nearest, are_two=True)}{but}."
+    )
+
+
+MOST_POSSIBLE = 3
+"""So many explanations are listed in a sentence."""
+
+
+def to_record(explanations: Sequence[Explanation], questions: Sequence[Question]) -> str:
+    """Return what is still possible, the most probable first, and what to record first."""
+    best, *others = explanations[:MOST_POSSIBLE]
+    text = f"Still possible: {'; or '.join([best.title, *(other.title for other in others)])}."
+    if not questions:
+        return f"{text} No trajectory that can be made with this setup would say more."
+    first = questions[0]
+    rivals = [other.title for other in others if other.name in first.separates]
+    separates = f"tells {best.title} from {' and '.join(rivals)}" if rivals else "says most of it"
+    return (
+        f"{text} Record next: {first.path}, with {first.indenter} ({first.seconds:.0f} s), which "
+        f"{separates}."
     )
 
 
