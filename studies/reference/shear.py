@@ -28,7 +28,7 @@ from dotsim_ros.geometry.pose import ApexPose, Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.twin.follow import GelAnswer
-from studies.geometry.batched_model import OneOfBatch
+from studies.geometry.batched_model import GelsOfBatch
 from studies.reference.blocks import StepControl
 from studies.reference.comparison import compare, implicit_step
 from studies.reference.deck import Deck
@@ -117,7 +117,7 @@ Step = Callable[[Pose, float], GelAnswer]
 
 def batched_step(grid: Grid, skin: SkinMesh) -> Step:
     """Return what moves the indenter of a batch of one gel to a pose."""
-    gel = OneOfBatch(SENSOR, grid, BALL, skin)
+    gel = GelsOfBatch(SENSOR, grid, [BALL], skin)
     return lambda pose, dt_s: gel.step([pose], dt_s)[0]
 
 
