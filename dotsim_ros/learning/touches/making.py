@@ -44,8 +44,8 @@ ATTEMPTS = 20
 """Draws of a touch until the gel takes one."""
 TOLERANCE_M = 30.0e-6
 """Of the gel's solver, if the sensor's own is not larger: forces are within 2 % and markers within
-20 um of a closely solved touch, against 0.5 % and 10 um for a third of it, which takes a quarter to
-two fifths longer. A slide of an edge has more than one answer, whatever the tolerance."""
+20 um of a closely solved touch, against 0.5 % and 10 um for a third of it, whose gel takes a fifth
+to two fifths longer. A slide of an edge has more than one answer, whatever the tolerance."""
 CONTACT_M = 20.0e-6
 """Skin that is nearer to the indenter touches it: triangles of the skin cut corners by less."""
 LEAST_FORCE_N = 1.0e-3
