@@ -95,16 +95,16 @@ def test_a_turn_is_solved_like_a_drag_with_increments_in_shares_of_a_frame() -> 
     assert [control.count for control in deck.controls] == [200] + [7] * 8
     deck = deck_of("drag", settings, SKIN)
     assert [control.count for control in deck.controls] == [200, 7, 7]
-    assert [control.first for control in deck.controls] == [0.5 / 3, 0.25 / 4, 0.25 / 7]
+    assert [control.first for control in deck.controls] == [0.5 / 3, 0.25 / 4, 0.25 / 10]
 
 
 def test_frames_are_printed_where_the_indenter_is_then() -> None:
     deck = deck_of("drag", COARSE, SKIN)
     x_mm = 1e3 * np.array([pose.position_m[0] for pose in deck.frame_poses()])
-    slide = [-1.5 + 0.125 * k for k in range(1, 5)] + [-1.0 + 2.5 / 7 * k for k in range(1, 8)]
+    slide = [-1.5 + 0.125 * k for k in range(1, 5)] + [-1.0 + 0.25 * k for k in range(1, 11)]
     np.testing.assert_allclose(x_mm, [-1.5] * 4 + slide, atol=1e-9)
     lines = deck.text().splitlines()
-    for step, count in enumerate((3, 4, 7)):
+    for step, count in enumerate((3, 4, 10)):
         first = lines.index(f"*TIME POINTS, NAME=FRAMES{step}") + 1
         times = [float(line) for line in lines[first : first + count]]
         assert times == pytest.approx([k / count for k in range(1, count + 1)])
