@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from dotsim_ros.cli._options import HERE, Meshes, Whole, WorkerOptions
+from dotsim_ros.cli._options import HERE, Meshes, Whole, WorkerOptions, say
 
 EXAMPLE = "gap/example_report.html"
 """The report of `find-gap --demo`, below params/."""
@@ -51,6 +51,8 @@ def run(
     optical_noise: Path | None = None,
     fit_optical_noise: Path | None = None,
     next_: Whole = 0,
+    ask: str | None = None,
+    rounds: Whole = 6,
     json: Path | None = None,
     demo: bool = False,
     show_example: Annotated[bool, Parameter(name="--example")] = False,
@@ -76,6 +78,9 @@ def run(
             to this file.
         next_: trajectories to record next where the answer is not sure, those that decide most in
             a second of the robot's time: written to OUT/next.
+        ask: command that records these, --next or one at a time, until the answer is sure. It is
+            called with OUT/next and a folder, where it leaves a bag of the name of each.
+        rounds: so often at most.
         json: write the findings here as well.
         demo: search a shipped set that finite elements solved; --seed says which of three.
         show_example: search nothing: print where the finished report of --demo lies, to open in a
@@ -119,19 +124,23 @@ def run(
         null = find.fit_optical_noise(measured, fit_optical_noise, run_folder=out / "run", **common)
         print(f"{fit_optical_noise}: {null.source}")
         return 0
-    findings = find.find_gap(
-        measured,
-        out=out,
-        channels=channels or None,
-        candidates=candidates,
-        alpha=alpha,
-        budget=budget,
-        seed=seed,
-        discrepancy=discrepancy,
-        optical_noise=optical_noise,
-        next_presses=next_,
-        **common,
-    )
+    common |= {
+        "channels": channels or None,
+        "candidates": candidates,
+        "alpha": alpha,
+        "budget": budget,
+        "seed": seed,
+        "discrepancy": discrepancy,
+        "optical_noise": optical_noise,
+    }
+    if ask is None:
+        findings = find.find_gap(measured, out=out, next_presses=next_, **common)
+    else:
+        from dotsim_ros.gap.ask import search_and_ask
+
+        findings = search_and_ask(
+            measured, ask, out=out, next_presses=next_ or 1, rounds=rounds, announce=say, **common
+        )
     if json is not None:
         write_json(json, as_record(findings))
     print(f"\n{one_line(findings.sentence)}")

@@ -6,12 +6,20 @@ answers; and the trajectories that can be asked for."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from dotsim_ros.data.data_set import DataSet, read_data_set
+from dotsim_ros.data.data_set_writer import write_data_set
+from dotsim_ros.data.scripted import Site
+from dotsim_ros.data.trajectory import PoseChannel, Trajectory, WrenchChannel, write_trajectory
 from dotsim_ros.effects.effect import FORCE, Effect, EffectParameter
+from dotsim_ros.gap import ask
+from dotsim_ros.gap.findings import Findings, Question, Verdict
+from dotsim_ros.gap.next_presses import write_questions
 from dotsim_ros.gap.presses.catalogue import catalogue
 from dotsim_ros.gap.presses.covariance import Discrepancy
 from dotsim_ros.gap.presses.evidence import Segment, Variant
@@ -20,6 +28,8 @@ from dotsim_ros.gap.presses.information import Beliefs, distances, information, 
 from dotsim_ros.gap.presses.questions import Possible, beliefs_of
 from dotsim_ros.gap.presses.screening import try_segment
 from dotsim_ros.gap.presses.search_state import Ranked
+from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.io.replacement import remove_made
 from dotsim_ros.specification import load_sensor
 
 HALF = np.array([0.5, 0.5])
@@ -149,3 +159,84 @@ def test_what_is_asked_for_stays_as_deep_as_the_data_went_and_on_the_gel(sensor:
             assert (np.abs(position[:, :2]) < np.array(gel.bounds_m[1][:2])).all()
         assert depth.max() <= {"ball": 1.5e-3, "torus": 1.0e-3}[one.indenter] + 1e-9
         assert depth[[0, -1]].max() < 0.0
+
+
+def test_a_command_that_fails_to_record_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stamp_ns = 1_000_000_000 * np.arange(3)
+    poses = [Site().pose(depth_m) for depth_m in (-0.5e-3, 1.0e-3, 2.0e-3)]
+    force_n = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.4], [0.0, 0.0, 1.0]])
+    pressed = Trajectory(
+        PoseChannel.of(stamp_ns, poses),
+        WrenchChannel(stamp_ns, force_n, 0.0 * force_n),
+        name="press",
+    )
+    given = [(pressed, sphere(0.004))]
+    write_trajectory(tmp_path / "answers" / "asked_1_press", pressed)
+    own, out = write_data_set(tmp_path / "data", given), tmp_path / "report"
+    out.mkdir()
+    asked = Question(
+        "asked_1_press", "sphere", "a press", 17.0, 0.5, {}, [0.0, 1.0], [[0.0] * 6 + [1.0]] * 2
+    )
+    searched = []
+
+    def find(data_set: DataSet, *, out: Path, next_presses: int, **_: object) -> Findings:
+        searched.append([entry.name for entry in data_set.entries])
+        if len(data_set.entries) > 1 or not next_presses:
+            return Findings(Verdict.NAMED, "Found.")
+        remove_made(out, "next")
+        write_questions(out, [asked], data_set)
+        return Findings(Verdict.SET, "One of two.", questions=(asked,))
+
+    monkeypatch.setattr(ask, "find_gap", find)
+
+    def run(command: str) -> Findings:
+        return ask.search_and_ask(
+            own.directory,
+            command,
+            sensor="sensor_a",
+            out=out,
+            next_presses=1,
+            rounds=2,
+            announce=said.append,
+        )
+
+    def copied(folder: object) -> Path:
+        recorder = tmp_path / f"{len(said)}.sh"
+        recorder.write_text(f'cp -r {folder}/* "$2"\n', encoding="utf-8")
+        return recorder
+
+    said: list[str] = []
+    for command, reason in (
+        ("false", "ended with status 1, expected 0 and a bag of each trajectory in .*next: mend"),
+        ("true", "left no bag that can be used: .*no bag at .*asked_1_press"),
+        (f"sh {copied('$1/bags')}", "left no bag that can be used: .*asked_1_press"),
+        ("no_such_program", "cannot be run: .*name a program"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            run(command)
+    assert searched == 4 * [["press"]]
+    assert run(f"sh {copied(tmp_path / 'answers')}").verdict is Verdict.NAMED
+    assert searched[4:] == [["press"], ["press", "asked_1_press"]]
+    assert said[-1] == "One of two. Round 1 of 2: asked_1_press"
+    # A further call goes on from there, and the measured data stay as they are.
+    assert run("false").verdict is Verdict.NAMED
+    assert len(read_data_set(own.directory).entries) == 1
+    assert sorted(path.name for path in (out / "asked").iterdir()) == [
+        "bags",
+        "dataset.yaml",
+        "indenters",
+        "recording.kept",
+    ]
+    other = write_data_set(tmp_path / "other", given)
+    with pytest.raises(ValueError, match=r"goes on from another data set than .*other"):
+        ask.search_and_ask(
+            other.directory,
+            "true",
+            sensor="sensor_a",
+            out=out,
+            next_presses=1,
+            rounds=1,
+            announce=said.append,
+        )
