@@ -17,17 +17,8 @@ from typing import Any
 
 import torch
 
-from dotsim_ros.gel.batched import kernels
+from dotsim_ros.gel.batched import contact_newton, kernels
 from dotsim_ros.io.warp_runtime import wp
-
-FORCING = 0.03
-"""GMRES ends where its residual is below this share of the right hand side."""
-LARGEST_STEP_M = 0.3e-3
-"""No Newton step moves a marker farther."""
-LEAST_FORCE_N = 1.0e-12
-"""Smaller forces on all markers of a gel are none."""
-SECANTS = 2
-"""Trial steps of a line search."""
 
 
 @dataclass(frozen=True)
@@ -110,143 +101,40 @@ def solve_contact(
         guess_m: (B, K, 3) where the markers may come to lie. The contact is so stiff that where
             forces take them says little of who touches.
         newton_steps: at most.
-        tolerance_m: it ends where no marker moves farther. With 0 every count is fixed, and nothing
-            is read from the device.
+        tolerance_m: each gel ends where none of its markers moves farther.
     """
-    problem = _Problem(markers, compliance, base_m, may_stop=tolerance_m > 0.0)
-    force = force_n
-    moved = problem.moved_by(force)
-    problem.answer_at(guess_m)
-    # The indenter's linear answer around the guess, at the markers that the forces would cause.
-    problem.answer_n -= problem.stiffness_times(base_m + moved - guess_m)
-    for number in range(newton_steps):
-        left = problem.answer_n - force
-        change = problem.gmres(left)
-        step = problem.moved_by(change)
-        largest = step.abs().amax(dim=(1, 2))
-        share = (LARGEST_STEP_M / largest.clamp(min=1e-12)).clamp(max=1.0)[:, None, None]
-        problem.answer_at(base_m + moved + share * step)
-        if number > 0:
-            share = problem.line_search(moved, force, step, change, left, share)
-        moved, force = moved + share * step, force + share * change
-        if problem.may_stop and bool((largest * share[:, 0, 0] < tolerance_m).all()):
-            break
-    return Contact(force, base_m + moved, problem.distance_m, problem.slip_m)
-
-
-class _Problem:
-    """The linear gels with the indenters' answers at the markers' present positions."""
-
-    def __init__(
-        self, markers: Markers, compliance: torch.Tensor, base_m: torch.Tensor, *, may_stop: bool
-    ) -> None:
-        self._compliance, self._base_m, self.may_stop = compliance, base_m, may_stop
-        count, k, _ = base_m.shape
-        self.position_m = torch.empty_like(base_m)
-        self.answer_n, self.slip_m = torch.empty_like(base_m), torch.empty_like(base_m)
-        self._stiffness = base_m.new_empty(count, k, 3, 3)
-        self.distance_m = base_m.new_empty(count, k)
-        self._launch = wp.launch(
-            kernels.coulomb,
-            dim=(count, k),
-            inputs=[
-                vectors(self.position_m),
-                wp.from_torch(markers.area_m2),
-                wp.from_torch(markers.gel),
-                markers.field,
-                matrices(markers.rotation),
-                vectors(markers.origin_m),
-                markers.law,
-                vectors(markers.start_position_m),
-                vectors(markers.start_slip_m),
-            ],
-            outputs=[
-                vectors(self.answer_n),
-                matrices(self._stiffness),
-                wp.from_torch(self.distance_m),
-                vectors(self.slip_m),
-            ],
-            device=markers.field.device,
-            record_cmd=True,
-        )
-        self._hessenberg = base_m.new_empty(count, kernels.KRYLOV + 1, kernels.KRYLOV)
-        self._size, self._residual = base_m.new_empty(count), base_m.new_empty(count)
-        self._share = base_m.new_empty(count, kernels.KRYLOV)
-        # To prepare a launch takes longer than this kernel does.
-        self._least_squares = wp.launch(
-            kernels.least_squares,
-            dim=count,
-            inputs=[wp.from_torch(self._hessenberg), wp.from_torch(self._size), 0],
-            outputs=[wp.from_torch(self._share), wp.from_torch(self._residual)],
-            device=markers.field.device,
-            record_cmd=True,
-        )
-
-    def answer_at(self, position_m: torch.Tensor) -> None:
-        """Find what the indenters answer markers at (B, K, 3)."""
-        self.position_m.copy_(position_m)
-        self._launch.launch()
-
-    def moved_by(self, force_n: torch.Tensor) -> torch.Tensor:
-        """Return C f (B, K, 3)."""
-        # It is symmetric; on a CPU a row times a matrix takes a tenth of a matrix times a column.
-        row = force_n.reshape(len(force_n), 1, -1)
-        return torch.bmm(row, self._compliance).view(force_n.shape)
-
-    def stiffness_times(self, moved_m: torch.Tensor) -> torch.Tensor:
-        """Return H x (B, K, 3)."""
-        return torch.matmul(self._stiffness, moved_m[..., None])[..., 0]
-
-    def line_search(
-        self,
-        moved: torch.Tensor,
-        force: torch.Tensor,
-        step: torch.Tensor,
-        change: torch.Tensor,
-        left: torch.Tensor,
-        share: torch.Tensor,
-    ) -> torch.Tensor:
-        """Return shares (B, 1, 1) of a Newton step after which it would not turn back, with the
-        indenter's answer there; that at the given shares is known."""
-        before = (step * left).sum((1, 2), keepdim=True)
-        for _ in range(SECANTS):
-            after = (step * (self.answer_n - force - share * change)).sum((1, 2), keepdim=True)
-            turns_back = (after < -0.5 * before.abs()) & (before > 0.0)
-            if self.may_stop and not bool(turns_back.any()):
-                break
-            secant = share * (before / (before - after)).clamp(0.1, 0.9)
-            share = torch.where(turns_back, secant, share)
-            self.answer_at(self._base_m + moved + share * step)
-        return share
-
-    def gmres(self, right: torch.Tensor) -> torch.Tensor:
-        """Return df (B, K, 3) of (I + H C) df = right, from zero."""
-        count, shape = len(right), right.shape
-        # Squares of less would underflow, and the basis would not be of unit length.
-        is_nothing = right.abs().amax(dim=(1, 2), keepdim=True) < LEAST_FORCE_N
-        flat = torch.where(is_nothing, 0.0, right).reshape(count, -1)
-        size = torch.clamp(flat.norm(dim=1), min=1e-30, out=self._size)
-        basis = flat.new_empty(count, kernels.KRYLOV + 1, flat.shape[1])
-        basis[:, 0] = flat / size[:, None]
-        hessenberg = self._hessenberg.zero_()
-        for k in range(kernels.KRYLOV):
-            vector = basis[:, k]
-            moved = self.moved_by(vector.view(shape))
-            image = vector + self.stiffness_times(moved).view(count, -1)
-            known = basis[:, : k + 1]
-            # Twice is enough for orthogonality to the last bits.
-            for _ in range(2):
-                along = torch.bmm(image[:, None], known.transpose(1, 2))
-                image = image - torch.bmm(along, known)[:, 0]
-                hessenberg[:, : k + 1, k] += along[:, 0]
-            length = image.norm(dim=1)
-            hessenberg[:, k + 1, k] = length
-            basis[:, k + 1] = image / length.clamp(min=1e-30)[:, None]
-            done = k + 1
-            if done < kernels.KRYLOV and not (self.may_stop and done >= 3):
-                continue
-            self._least_squares.set_param_by_name("steps", done)
-            self._least_squares.launch()
-            if self.may_stop and bool((self._residual < FORCING * size).all()):
-                break
-        return torch.bmm(self._share[:, None, :done], basis[:, :done]).view(shape)
+    count, k, _ = base_m.shape
+    device = markers.field.device
+    solution = Contact(
+        force_n.clone(memory_format=torch.contiguous_format),
+        torch.empty_like(base_m),
+        base_m.new_empty(count, k),
+        torch.empty_like(base_m),
+    )
+    problem: Any = contact_newton.Problem()
+    problem.compliance = wp.from_torch(compliance)
+    problem.base, problem.guess = vectors(base_m.contiguous()), vectors(guess_m.contiguous())
+    problem.area, problem.gel = wp.from_torch(markers.area_m2), wp.from_torch(markers.gel)
+    problem.start_position = vectors(markers.start_position_m)
+    problem.start_slip = vectors(markers.start_slip_m)
+    problem.field, problem.law = markers.field, markers.law
+    problem.rotation, problem.origin = matrices(markers.rotation), vectors(markers.origin_m)
+    answer: Any = contact_newton.Answer()
+    answer.force = wp.from_torch(solution.force_n.view(count, 3 * k))
+    answer.position = vectors(solution.position_m)
+    answer.distance, answer.slip = wp.from_torch(solution.distance_m), vectors(solution.slip_m)
+    memory: Any = contact_newton.Memory()
+    for name in ("moved", "step", "change"):
+        setattr(memory, name, wp.from_torch(base_m.new_empty(count, 3 * k)))
+    memory.answer = vectors(base_m.new_empty(count, k, 3))
+    memory.stiffness = matrices(base_m.new_empty(count, k, 3, 3))
+    memory.basis = wp.from_torch(base_m.new_empty(count, contact_newton.KRYLOV + 1, 3 * k))
+    wp.launch_tiled(
+        contact_newton.solve,
+        dim=[count],
+        inputs=[problem, newton_steps, tolerance_m],
+        outputs=[answer, memory],
+        block_dim=kernels.BLOCK,
+        device=device,
+    )
+    return solution

@@ -50,9 +50,7 @@ class ElasticForces:
         self._gradient = torch.as_tensor(cells.gradient, dtype=torch.float32, device=device)
         self._divergence = self._gradient.transpose(1, 2).contiguous()
         self._volume: Any = wp.array(volume.ravel(), dtype=wp.float32, device=device)
-        self._law: Any = wp.array(
-            np.tile(law.coefficients_pa(), (count, 1)), dtype=kernels.coefficients, device=device
-        )
+        self._law = kernels.coefficients(*law.coefficients_pa())
         self.node_count, self.device = d.node_count, device
         self.fast_share = torch.ones(count, device=device)
         self.history_pa = torch.empty(0, 3, count, device=device)
@@ -67,16 +65,18 @@ class ElasticForces:
         flat = displacement_m.reshape(n, 3 * b)
         gradient = self._at_particles(flat)
         stress = torch.empty_like(gradient)
+        width = b if self.device == "cpu" else 1
         wp.launch(
             kernels.first_piola_kirchhoff,
-            dim=(8 * cells, b),
+            dim=(8 * cells, b // width),
             inputs=[
                 wp.from_torch(gradient.view(-1, 3, b)),
                 self._volume,
                 self._law,
                 wp.from_torch(gels.to(torch.int32)),
-                wp.from_torch(self.fast_share),
+                wp.from_torch(self.fast_share[gels]),
                 wp.from_torch(self.history_pa),
+                width,
                 wp.from_torch(stress.view(-1, 3, b)),
             ],
             device=self._volume.device,

@@ -70,6 +70,8 @@ MEMORY = 12
 """Steps that mixing remembers at most..."""
 MEMORY_SHARE = 2
 """...and no more than those of so many substeps: older ones belong to another contact."""
+INNER_SHARE = 0.05
+"""Contact problems end at this share of the tolerance: another step of theirs costs little."""
 FIRST_STEPS = 2
 """A substep's first contact problem takes so many times the Newton steps of the others."""
 ADVANCES = 12
@@ -608,7 +610,7 @@ class BatchedGel:
                 force_n=force_n[here],
                 guess_m=guess_m[here],
                 newton_steps=newton_steps,
-                tolerance_m=0.5 * self.effort.tolerance_m,
+                tolerance_m=INNER_SHARE * self.effort.tolerance_m,
             )
             for name in Contact.__dataclass_fields__:
                 getattr(whole, name)[here] = getattr(part, name)

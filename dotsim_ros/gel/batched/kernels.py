@@ -4,7 +4,7 @@
 """Warp kernels of many gels, in single precision; B is the number of gels."""
 
 # Warp reads kernels by its own rules, which are none of a type checker's.
-# mypy: disable-error-code="no-untyped-def, valid-type, arg-type, assignment, index, operator, misc"
+# mypy: ignore-errors
 
 from dotsim_ros.gel.distance_field import distance_functions
 from dotsim_ros.gel.elastic_kernels import elastic_kernels
@@ -13,11 +13,9 @@ from dotsim_ros.io.warp_runtime import wp
 
 wp.set_module_options({"enable_backward": False})
 
-KRYLOV = 8
-"""Steps of GMRES at most."""
+BLOCK = 128
+"""Threads of a block on a GPU, here lanes, which share the sums of a gel; on a CPU it has one."""
 
-_hessenberg = wp.types.matrix(shape=(KRYLOV + 1, KRYLOV), dtype=wp.float32)
-_turned = wp.types.vector(length=KRYLOV + 1, dtype=wp.float32)
 _distance = distance_functions(wp.float32)
 _elastic = elastic_kernels(wp.float32)
 _contact = contact_kernels(wp.float32)
@@ -26,9 +24,66 @@ ContactLaw = _contact.ContactLaw
 indenter_distance = _distance.indenter_distance
 coefficients = _elastic.vec5
 shape_stress = _elastic.shape_stress
-volume_stress = _elastic.volume_stress
 pressure = _contact.pressure
 pressure_slope = _contact.pressure_slope
+
+
+@wp.func_native("WP_TILE_SYNC();")
+def meet():
+    """Wait for the other lanes, whose writes are there then."""
+    ...
+
+
+@wp.func
+def lanes_sum(part: wp.float32):
+    """Return the sum over the lanes."""
+    return wp.tile_extract(wp.tile_sum(wp.tile(part)), 0)
+
+
+@wp.func
+def lanes_max(part: wp.float32):
+    """Return the largest number of the lanes."""
+    return wp.tile_extract(wp.tile_max(wp.tile(part)), 0)
+
+
+# On a CPU the compiler may only make vectors of a sum whose order it may choose.
+@wp.func_native("""
+    #if defined(__clang__)
+    #pragma clang fp reassociate(on)
+    #endif
+    const float* x = a.data;
+    const float* y = b.data;
+    float sum = 0.0f;
+    for (int i = lane; i < count; i += WP_TILE_BLOCK_DIM) sum += x[i] * y[i];
+    return sum;
+""")
+def lane_product(
+    lane: int, count: int, a: wp.array(dtype=wp.float32), b: wp.array(dtype=wp.float32)
+) -> wp.float32:
+    """Return a lane's part of the scalar product of the first numbers."""
+    ...
+
+
+@wp.func
+def product(lane: int, count: int, a: wp.array(dtype=wp.float32), b: wp.array(dtype=wp.float32)):
+    """Return the scalar product of the first numbers."""
+    return lanes_sum(lane_product(lane, count, a, b))
+
+
+@wp.func_native("""
+    const float* __restrict__ x = a.data;
+    float* __restrict__ y = b.data;
+    for (int i = lane; i < count; i += WP_TILE_BLOCK_DIM) y[i] += factor * x[i];
+""")
+def add(
+    lane: int,
+    count: int,
+    factor: wp.float32,
+    a: wp.array(dtype=wp.float32),
+    b: wp.array(dtype=wp.float32),
+):
+    """Add the first numbers of a times a factor to those of b, a lane's part."""
+    ...
 
 
 @wp.func
@@ -41,45 +96,110 @@ def deformation_gradient(gradient: wp.array3d(dtype=wp.float32), p: int, b: int)
     return f
 
 
+# The columns of F are x, y and z, those of its cofactors u, v and w. Adjacent gels are adjacent
+# numbers: a CPU's compiler makes vectors of them, which it makes of no call of `pow`.
+@wp.func_native("""
+    const int count = gradient.shape[2];
+    const float* __restrict__ g = gradient.data + 9LL * count * p;
+    float* __restrict__ result = stress.data + 9LL * count * p;
+    const float* __restrict__ share = fast.data;
+    const float c10 = law[0], c01 = law[1], c20 = law[2], c30 = law[3], bulk = law[4];
+    for (int b = first; b < end; ++b) {
+        const float x0 = 1.0f + g[b], x1 = g[count + b], x2 = g[2 * count + b];
+        const float y0 = g[3 * count + b], y1 = 1.0f + g[4 * count + b], y2 = g[5 * count + b];
+        const float z0 = g[6 * count + b], z1 = g[7 * count + b], z2 = 1.0f + g[8 * count + b];
+        const float u0 = y1 * z2 - y2 * z1, u1 = y2 * z0 - y0 * z2, u2 = y0 * z1 - y1 * z0;
+        const float v0 = z1 * x2 - z2 * x1, v1 = z2 * x0 - z0 * x2, v2 = z0 * x1 - z1 * x0;
+        const float w0 = x1 * y2 - x2 * y1, w1 = x2 * y0 - x0 * y2, w2 = x0 * y1 - x1 * y0;
+        const float j = x0 * u0 + x1 * u1 + x2 * u2;
+        const float xx = x0 * x0 + x1 * x1 + x2 * x2, xy = x0 * y0 + x1 * y1 + x2 * y2;
+        const float yy = y0 * y0 + y1 * y1 + y2 * y2, yz = y0 * z0 + y1 * z1 + y2 * z2;
+        const float zz = z0 * z0 + z1 * z1 + z2 * z2, zx = z0 * x0 + z1 * x1 + z2 * x2;
+        const float i1 = xx + yy + zz;
+        const float i2 = (xx * yy - xy * xy) + (yy * zz - yz * yz) + (zz * xx - zx * zx);
+        // The inverse cube root of J by Newton's method, from a third of its exponent.
+        union { float number; int bits; } root;
+        root.number = j;
+        root.bits = 0x54a2fa8e - root.bits / 3;
+        float r = root.number;
+        for (int k = 0; k < 3; ++k) r *= (4.0f - j * r * r * r) * (1.0f / 3.0f);
+        const float a = j > 0.0f ? r * r : NAN;
+        const float e1 = a * i1 - 3.0f;
+        const float s1 = a * (c10 + e1 * (2.0f * c20 + 3.0f * c30 * e1)), s2 = a * a * c01;
+        const float f = v * share[b];
+        const float alpha = f * 2.0f * (s1 + s2 * i1), gamma = f * 2.0f * s2;
+        const float beta = v * bulk * (j - 1.0f)
+            - f * (2.0f / 3.0f) * (s1 * i1 + 2.0f * s2 * i2) / j;
+        const float ax = alpha - gamma * xx, ay = alpha - gamma * yy, az = alpha - gamma * zz;
+        const float bxy = gamma * xy, byz = gamma * yz, bzx = gamma * zx;
+        result[b] = ax * x0 - bxy * y0 - bzx * z0 + beta * u0;
+        result[count + b] = ax * x1 - bxy * y1 - bzx * z1 + beta * u1;
+        result[2 * count + b] = ax * x2 - bxy * y2 - bzx * z2 + beta * u2;
+        result[3 * count + b] = ay * y0 - bxy * x0 - byz * z0 + beta * v0;
+        result[4 * count + b] = ay * y1 - bxy * x1 - byz * z1 + beta * v1;
+        result[5 * count + b] = ay * y2 - bxy * x2 - byz * z2 + beta * v2;
+        result[6 * count + b] = az * z0 - byz * y0 - bzx * x0 + beta * w0;
+        result[7 * count + b] = az * z1 - byz * y1 - bzx * x1 + beta * w1;
+        result[8 * count + b] = az * z2 - byz * y2 - bzx * x2 + beta * w2;
+    }
+""")
+def write_stress(
+    p: int,
+    first: int,
+    end: int,
+    gradient: wp.array3d(dtype=wp.float32),
+    v: wp.float32,
+    law: coefficients,
+    fast: wp.array(dtype=wp.float32),
+    stress: wp.array3d(dtype=wp.float32),
+):
+    """Write V (fast * shape_stress + volume_stress) of a particle of gels; it is NaN where the
+    particle is turned inside out."""
+    ...
+
+
 @wp.kernel
 def first_piola_kirchhoff(
     gradient: wp.array3d(dtype=wp.float32),
     volume: wp.array(dtype=wp.float32),
-    law: wp.array(dtype=coefficients),
+    law: coefficients,
     gel: wp.array(dtype=wp.int32),
     fast_share: wp.array(dtype=wp.float32),
     history: wp.array3d(dtype=wp.float32),
+    width: int,
     stress: wp.array3d(dtype=wp.float32),
 ):
-    """Write V P of each particle; gradient[3 p + j, i, b] is du_i/dX_j, stress likewise. gel
-    numbers what relaxation leaves of each gel's fast stress, and the stress that it remembers,
-    which is empty where nothing relaxes."""
-    p, b = wp.tid()
-    f = deformation_gradient(gradient, p, b)
-    g = gel[b]
-    result = fast_share[g] * shape_stress(f, law[b]) + volume_stress(f, law[b])
-    if history.shape[0] > 0:
+    """Write V P of each particle for `width` gels at a time; gradient[3 p + j, i, b] is du_i/dX_j,
+    stress likewise. fast_share [b] is what relaxation leaves of each gel's fast stress, history the
+    stress that it remembers, by the numbers gel[b] of all gels, empty where nothing relaxes."""
+    p, part = wp.tid()
+    first = part * width
+    end = wp.min(first + width, gradient.shape[2])
+    v = volume[p]
+    write_stress(p, first, end, gradient, v, law, fast_share, stress)
+    if history.shape[0] == 0:
+        return
+    for b in range(first, end):
         remembered = wp.mat33()
         for i in range(3):
             for j in range(3):
-                remembered[i, j] = history[3 * p + j, i, g]
-        result += f * remembered
-    v = volume[p]
-    for i in range(3):
-        for j in range(3):
-            stress[3 * p + j, i, b] = v * result[i, j]
+                remembered[i, j] = history[3 * p + j, i, gel[b]]
+        result = deformation_gradient(gradient, p, b) * remembered
+        for i in range(3):
+            for j in range(3):
+                stress[3 * p + j, i, b] = stress[3 * p + j, i, b] + v * result[i, j]
 
 
 @wp.kernel
 def second_piola_kirchhoff(
     gradient: wp.array3d(dtype=wp.float32),
-    law: wp.array(dtype=coefficients),
+    law: coefficients,
     stress: wp.array3d(dtype=wp.float32),
 ):
     """Write the stress of the part of the energy that relaxes; arrays as above."""
     p, b = wp.tid()
     f = deformation_gradient(gradient, p, b)
-    result = wp.inverse(f) * shape_stress(f, law[b])
+    result = wp.inverse(f) * shape_stress(f, law)
     for i in range(3):
         for j in range(3):
             stress[3 * p + j, i, b] = result[i, j]
@@ -102,138 +222,187 @@ def surface(
     normal[b, v] = rotation[b] * n
 
 
-@wp.kernel
+@wp.func
 def coulomb(
-    position: wp.array2d(dtype=wp.vec3),
-    area: wp.array2d(dtype=wp.float32),
-    gel: wp.array(dtype=wp.int32),
-    field: wp.array(dtype=IndenterField),
-    rotation: wp.array(dtype=wp.mat33),
-    origin: wp.array(dtype=wp.vec3),
-    law: wp.array(dtype=ContactLaw),
-    start_position: wp.array2d(dtype=wp.vec3),
-    start_slip: wp.array2d(dtype=wp.vec3),
-    force: wp.array2d(dtype=wp.vec3),
-    stiffness: wp.array2d(dtype=wp.mat33),
-    distance: wp.array2d(dtype=wp.float32),
-    slip: wp.array2d(dtype=wp.vec3),
+    position: wp.vec3,
+    area: wp.float32,
+    field: IndenterField,
+    rotation: wp.mat33,
+    origin: wp.vec3,
+    law: ContactLaw,
+    start_position: wp.vec3,
+    start_slip: wp.vec3,
 ):
-    """Write the force on markers [b, m] by Coulomb's law and minus its derivative, and what the
-    friction of the next step starts from, in the indenter's frame; gel numbers what all gels have.
-    """
-    b, m = wp.tid()
-    g = gel[b]
-    turn_back = rotation[g]
-    y = wp.transpose(turn_back) * (position[b, m] - origin[g])
-    d, n, _curvature = indenter_distance(field[g], y)
-    c = law[g]
-    depth = c.onset - d
-    distance[b, m] = d
+    """Return the force on a marker by Coulomb's law, minus its derivative, the distance, and the
+    slip that the friction of the next step starts from, in the indenter's frame."""
+    y = wp.transpose(rotation) * (position - origin)
+    d, n, _curvature = indenter_distance(field, y)
+    depth = law.onset - d
     elastic_slip = wp.vec3()
-    if depth <= 0.0:
-        force[b, m] = wp.vec3()
-        stiffness[b, m] = wp.mat33()
-        slip[b, m] = elastic_slip
-        return
-    p = pressure(c, depth)
-    slope = pressure_slope(c, depth)
-    f = p * n
-    h = slope * wp.outer(n, n)
-    if c.friction > 0.0:
-        k = c.tangential_stiffness
-        # The gradient of a mesh's distance, interpolated on a grid, is not of unit length.
-        unit = wp.normalize(n)
-        projector = wp.identity(3, dtype=wp.float32) - wp.outer(unit, unit)
-        moved = start_slip[b, m] + y - start_position[b, m]
-        s = projector * moved
-        length = wp.length(s)
-        limit = c.friction * p / k
-        if length <= limit:
-            f -= k * s
-            h += k * projector
-            elastic_slip = s
-        elif length > 1.0e-12:
-            direction = s / length
-            f -= (k * limit) * direction
-            turning = wp.identity(3, dtype=wp.float32) - wp.outer(direction, direction)
-            h += (k * limit / length) * (turning * projector)
-            h -= (c.friction * slope) * wp.outer(direction, n)
-            elastic_slip = limit * direction
-    a = area[b, m]
-    slip[b, m] = elastic_slip
-    force[b, m] = a * (turn_back * f)
-    stiffness[b, m] = a * (turn_back * h * wp.transpose(turn_back))
+    f = wp.vec3()
+    h = wp.mat33()
+    if depth > 0.0:
+        p = pressure(law, depth)
+        slope = pressure_slope(law, depth)
+        f = p * n
+        h = slope * wp.outer(n, n)
+        if law.friction > 0.0:
+            k = law.tangential_stiffness
+            # The gradient of a mesh's distance, interpolated on a grid, is not of unit length.
+            unit = wp.normalize(n)
+            projector = wp.identity(3, dtype=wp.float32) - wp.outer(unit, unit)
+            moved = start_slip + y - start_position
+            s = projector * moved
+            length = wp.length(s)
+            limit = law.friction * p / k
+            if length <= limit:
+                f -= k * s
+                h += k * projector
+                elastic_slip = s
+            elif length > 1.0e-12:
+                direction = s / length
+                f -= (k * limit) * direction
+                turning = wp.identity(3, dtype=wp.float32) - wp.outer(direction, direction)
+                h += (k * limit / length) * (turning * projector)
+                h -= (law.friction * slope) * wp.outer(direction, n)
+                elastic_slip = limit * direction
+        f = area * (rotation * f)
+        h = area * (rotation * h * wp.transpose(rotation))
+    return f, h, d, elastic_slip
 
 
-@wp.kernel
-def least_squares(
-    hessenberg: wp.array3d(dtype=wp.float32),
-    size: wp.array(dtype=wp.float32),
-    steps: wp.int32,
-    solution: wp.array2d(dtype=wp.float32),
-    left: wp.array(dtype=wp.float32),
-):
-    """Write the x [b, k] of so many steps with the least |size e_1 - H x|, and how much that is, by
-    Givens rotations."""
-    b = wp.tid()
-    r = _hessenberg()
-    g = _turned()
-    g[0] = size[b]
-    for i in range(steps + 1):
-        for j in range(steps):
-            r[i, j] = hessenberg[b, i, j]
-    largest = wp.float32(1.0e-30)
-    for j in range(steps):
-        length = wp.sqrt(r[j, j] * r[j, j] + r[j + 1, j] * r[j + 1, j])
-        cosine = wp.float32(1.0)
-        sine = wp.float32(0.0)
-        if length > 0.0:
-            cosine = r[j, j] / length
-            sine = r[j + 1, j] / length
-        for i in range(j, steps):
-            above = r[j, i]
-            below = r[j + 1, i]
-            r[j, i] = cosine * above + sine * below
-            r[j + 1, i] = cosine * below - sine * above
-        g[j + 1] = -sine * g[j]
-        g[j] = cosine * g[j]
-        if length > largest:
-            largest = length
-    left[b] = wp.abs(g[steps])
-    tiny = 1.0e-7 * largest
-    for k in range(steps):
-        j = steps - 1 - k
-        total = g[j]
-        for i in range(j + 1, steps):
-            total -= r[j, i] * solution[b, i]
-        # It is a length.
-        solution[b, j] = total / wp.max(r[j, j], tiny)
-
-
-@wp.kernel
+@wp.func
 def solve_symmetric(
-    matrix: wp.array3d(dtype=wp.float64),
-    right: wp.array2d(dtype=wp.float64),
+    matrix: wp.array2d(dtype=wp.float64),
+    right: wp.array(dtype=wp.float64),
 ):
-    """Write the solutions [b, i] over the right hand sides, and L D L' over the matrices."""
-    b = wp.tid()
-    size = right.shape[1]
+    """Write the solution over the right hand side, and L D L' over the matrix."""
+    size = right.shape[0]
     for j in range(size):
         for i in range(j, size):
-            total = matrix[b, i, j]
+            total = matrix[i, j]
             for k in range(j):
-                total -= matrix[b, i, k] * matrix[b, k, k] * matrix[b, j, k]
+                total -= matrix[i, k] * matrix[k, k] * matrix[j, k]
             if i > j:
-                total /= matrix[b, j, j]
-            matrix[b, i, j] = total
+                total /= matrix[j, j]
+            matrix[i, j] = total
         for k in range(j):
-            right[b, j] -= matrix[b, j, k] * right[b, k]
+            right[j] -= matrix[j, k] * right[k]
     for reverse in range(size):
         i = size - 1 - reverse
-        total = right[b, i] / matrix[b, i, i]
+        total = right[i] / matrix[i, i]
         for k in range(i + 1, size):
-            total -= matrix[b, k, i] * right[b, k]
-        right[b, i] = total
+            total -= matrix[k, i] * right[k]
+        right[i] = total
+
+
+@wp.struct
+class Memories:
+    """What `mix` remembers of each gel g, of its last steps m: changes of its points and of its
+    steps, [g, m, i]; products of the latter with each other, [g, m, m], and the share of their mean
+    that keeps these solvable; the stiffness, [g, m], the quotient of their lengths; how many there
+    were, [g]; the last point and step, [g, i]. A change of the point that is shorter than
+    least_change is mostly rounding."""
+
+    points: wp.array3d(dtype=wp.float32)
+    steps: wp.array3d(dtype=wp.float32)
+    products: wp.array3d(dtype=wp.float32)
+    stiffness: wp.array2d(dtype=wp.float32)
+    count: wp.array(dtype=wp.int32)
+    last_point: wp.array2d(dtype=wp.float32)
+    last_step: wp.array2d(dtype=wp.float32)
+    least_change: wp.float32
+    regularisation: wp.float32
+
+
+@wp.func
+def remember(
+    g: int,
+    lane: int,
+    point: wp.array(dtype=wp.float32),
+    step: wp.array(dtype=wp.float32),
+    known: Memories,
+):
+    """Remember how a gel's step changed, unless the gel hardly moves or has diverged."""
+    size = point.shape[0]
+    lanes = wp.block_dim()
+    longest = wp.float32(0.0)
+    for i in range(lane, size, lanes):
+        moved = point[i] - known.last_point[g, i]
+        if wp.isfinite(moved + step[i] - known.last_step[g, i]):
+            longest = wp.max(longest, wp.abs(moved))
+        else:
+            longest = wp.inf
+    longest = lanes_max(longest)
+    if longest <= known.least_change or longest == wp.inf:
+        return
+    memory = known.steps.shape[1]
+    slot = known.count[g] % memory
+    points = known.points[g, slot]
+    steps = known.steps[g, slot]
+    for i in range(lane, size, lanes):
+        points[i] = point[i] - known.last_point[g, i]
+        steps[i] = step[i] - known.last_step[g, i]
+    meet()
+    for m in range(memory):
+        found = product(lane, size, known.steps[g, m], steps)
+        if lane == 0:
+            known.products[g, slot, m] = found
+            known.products[g, m, slot] = found
+    stiffness = wp.sqrt(product(lane, size, steps, steps) / product(lane, size, points, points))
+    if lane == 0:
+        known.stiffness[g, slot] = stiffness
+        known.count[g] = known.count[g] + 1
+
+
+@wp.kernel
+def mix(
+    gel: wp.array(dtype=wp.int32),
+    point: wp.array2d(dtype=wp.float32),
+    step: wp.array2d(dtype=wp.float32),
+    is_first: int,
+    known: Memories,
+    matrix: wp.array3d(dtype=wp.float64),
+    share: wp.array2d(dtype=wp.float64),
+    mixed: wp.array2d(dtype=wp.float32),
+):
+    """Write the step that gel[b] takes from point[b], where the iteration takes another one; matrix
+    and share are memory."""
+    b, lane = wp.tid()
+    lanes = wp.block_dim()
+    g = gel[b]
+    memory = known.steps.shape[1]
+    size = point.shape[1]
+    if is_first == 0:
+        remember(g, lane, point[b], step[b], known)
+    for m in range(memory):
+        along = product(lane, size, known.steps[g, m], step[b])
+        if lane == 0:
+            share[b, m] = wp.float64(along)
+    if lane == 0:
+        mean = wp.float32(0.0)
+        for m in range(memory):
+            mean += known.products[g, m, m] / wp.float32(memory)
+        # What is not known yet gets no share.
+        least = known.regularisation * wp.max(mean, known.least_change * known.least_change)
+        for m in range(memory):
+            for k in range(memory):
+                matrix[b, m, k] = wp.float64(known.products[g, m, k])
+            matrix[b, m, m] = matrix[b, m, m] + wp.float64(least)
+        solve_symmetric(matrix[b], share[b])
+    meet()
+    stiffest = wp.float32(1.0)
+    for m in range(memory):
+        stiffest = wp.max(stiffest, known.stiffness[g, m])
+    damping = 1.0 / wp.sqrt(stiffest)
+    for i in range(lane, size, lanes):
+        mixed[b, i] = damping * step[b, i]
+        known.last_point[g, i] = point[b, i]
+        known.last_step[g, i] = step[b, i]
+    for m in range(memory):
+        part = wp.float32(share[b, m])
+        add(lane, size, -damping * part, known.steps[g, m], mixed[b])
+        add(lane, size, -part, known.points[g, m], mixed[b])
 
 
 @wp.kernel
