@@ -90,6 +90,7 @@ _STATE = (
     "_local_m",
     "_local_change_m",
     "_gap_m",
+    "_rest_gap_m",
     "_origin_m",
     "_move_m",
     "_quaternion",
@@ -266,6 +267,7 @@ class BatchedGel:
         self._skin_change_m = zeros(b, v, 3)
         self._local_m, self._local_change_m = zeros(b, v, 3), zeros(b, v, 3)
         self._gap_m = torch.full((b, v), torch.inf, device=self.device)
+        self._rest_gap_m = torch.full((b,), torch.inf, device=self.device)
         self._origin_m, self._move_m = zeros(b, 3), zeros(b, 3)
         self._quaternion = zeros(b, 4)
         self._is_touching = torch.zeros(b, dtype=torch.bool, device=self.device)
@@ -310,7 +312,7 @@ class BatchedGel:
         way = (target - start).norm(dim=1) + LEVER_M * angle_between(start_turn, turn)
         # From the air, only the way after the first touch counts.
         touch = self._touch_share(start, target, turn)
-        depth = torch.where(self._is_touching, -self._rest_gap(start, start_turn), 0.0)
+        depth = torch.where(self._is_touching, -self._rest_gap_m, 0.0)
         longest = (2.0 * depth).clamp(TOUCH_SHARE * self._spacing_m, LARGEST_MOVE_M)
         moves = (way * (1.0 - touch) / longest).ceil().clamp(min=1.0)
         # A gel that nothing touches in the end is at rest, whatever the way, if it does not relax.
@@ -419,7 +421,8 @@ class BatchedGel:
     ) -> None:
         """Advance the gels that move to new poses (B, 3), (B, 4) of their indenters."""
         rotation = rotation_of(quaternion)
-        touches = self._rest_gap(origin_m, rotation) < ONSET_M
+        rest_gap = self._rest_gap(origin_m, rotation)
+        touches = rest_gap < ONSET_M
         begins = touches & ~self._is_touching
         fresh = begins[:, None, None]
         here = _to_local(self._skin_m, origin_m, rotation)
@@ -450,7 +453,7 @@ class BatchedGel:
                 break
             near_m = near_m + torch.where(missed, near_m - others, 0.0)
         pose = origin_m, quaternion
-        self._finish(u, skin, gap, force, markers, contact, left, touches, is_moving, pose)
+        self._finish(u, skin, gap, force, markers, contact, left, rest_gap, is_moving, pose)
 
     def _share_of_last_move(self, origin_m: torch.Tensor, begins: torch.Tensor) -> torch.Tensor:
         """Return how much of the last substep's motion this one repeats (B,)."""
@@ -626,7 +629,7 @@ class BatchedGel:
         markers: Markers,
         contact: Contact,
         left_m: torch.Tensor,
-        touches: torch.Tensor,
+        rest_gap_m: torch.Tensor,
         is_moving: torch.Tensor,
         pose: tuple[torch.Tensor, torch.Tensor],
     ) -> None:
@@ -634,6 +637,7 @@ class BatchedGel:
         that diverged stay as they were."""
         three = markers.index[:, :, None].expand(-1, -1, 3)
         zeros = torch.zeros_like(self._skin_m)
+        touches = rest_gap_m < ONSET_M
         in_contact = touches[:, None, None]
         local = _to_local(skin, markers.origin_m, markers.rotation)
         torque = torch.linalg.cross(markers.gather(skin), force).sum(dim=1)
@@ -655,6 +659,7 @@ class BatchedGel:
             "_marker_force_n": zeros.scatter(1, three, force),
             "_slip_m": torch.where(in_contact, zeros.scatter(1, three, contact.slip_m), 0.0),
             "_gap_m": gap,
+            "_rest_gap_m": rest_gap_m,
             "_origin_m": pose[0],
             "_quaternion": pose[1],
             "_force_n": -force.sum(dim=1),
