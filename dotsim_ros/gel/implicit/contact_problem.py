@@ -324,14 +324,15 @@ def linear_contact(
         response: the indenter's answer to the markers where they are.
     """
     count = len(force_n)
-    stiffness = np.zeros((3, count, 3, count), dtype=compliance.dtype)
-    every = np.arange(count)
-    stiffness[:, every, :, every] = response.stiffness
-    own = stiffness.reshape(3 * count, 3 * count)
+    stiffness = response.stiffness.astype(compliance.dtype)
     change = by_component(response.force_n - force_n).astype(compliance.dtype)
     out_of_balance = -by_component(free_m).astype(compliance.dtype) - compliance @ change
-    moved = linalg.solve(np.eye(3 * count) + compliance @ own, -out_of_balance, check_finite=False)
-    return force_n + by_marker(change - own @ moved)
+    # Each marker answers to its own motion alone.
+    matrix = np.einsum("rin,nij->rjn", compliance.reshape(-1, 3, count), stiffness)
+    matrix = matrix.reshape(3 * count, 3 * count)
+    matrix[np.diag_indices(3 * count)] += 1.0
+    moved = by_marker(linalg.solve(matrix, -out_of_balance, overwrite_a=True, check_finite=False))
+    return force_n + by_marker(change) - np.einsum("nij,nj->ni", stiffness, moved)
 
 
 def _corrected(
