@@ -177,6 +177,7 @@ STUDIES: dict[str, Study] = {
     "gelsight_taxim": Study(10, "optics.gelsight:gelsight_taxim"),
     "geometry": Study(45, "geometry.study:geometry"),
     "geometry_later": Study(40, "geometry.study:geometry_later"),
+    "grasps": Study(20, "grasps:grasps"),
     "hide": Study(800, "hidden.solved_sets:hide", in_all=False),
     "live": Study(2, "speed.live:live"),
     "loop_faults": Study(20, "trajectory.loop_faults:loop_faults"),

@@ -212,7 +212,9 @@ def test_a_ball_slips_from_two_sensors_with_too_little_friction(pair: list[Tacti
     assert not force_on_the_ball(held).any()
 
 
-def test_momentum_of_a_ball_and_two_fingers_is_kept(pair: list[TactileSensor]) -> None:
+def test_a_ball_and_two_fingers_keep_momentum_and_give_energy_to_the_gels(
+    pair: list[TactileSensor],
+) -> None:
     finger = '<freejoint/><inertial mass="0.1" pos="0 0 0.005" diaginertia="1e-5 1e-5 1e-5"/>'
     model, data = ball_between(0.2e-3, finger=finger, gravity=0.0)
     # Next to the axis, so that all turn; each moves towards the ball.
@@ -229,7 +231,11 @@ def test_momentum_of_a_ball_and_two_fingers_is_kept(pair: list[TactileSensor]) -
         ]
         return np.concatenate([np.sum(linear, axis=0), np.sum(turning, axis=0)])
 
-    begun, largest_n = momentum(), np.zeros(2)
+    def kinetic_j() -> float:
+        mujoco.mj_energyVel(model, data)
+        return float(data.energy[1])
+
+    begun, begun_j, largest_n = momentum(), kinetic_j(), np.zeros(2)
     for _ in range(15):
         forces_n = [np.linalg.norm(gel.wrench.force_n) for gel in held.step()]
         largest_n = np.maximum(largest_n, forces_n)
@@ -237,6 +243,9 @@ def test_momentum_of_a_ball_and_two_fingers_is_kept(pair: list[TactileSensor]) -
     scale = 0.1 * 0.05
     assert momentum()[:3] == pytest.approx(begun[:3], abs=1e-5 * scale)
     assert momentum()[3:] == pytest.approx(begun[3:], abs=0.01 * scale * APEX_M)
+    given_j = [-finger.work_j for finger in held.fingers]
+    assert min(given_j) > 0.0
+    assert sum(given_j) == pytest.approx(begun_j - kinetic_j(), abs=0.01 * begun_j)
 
 
 @pytest.mark.fault("environments", "a coupling for each of two sensors of one MuJoCo world")

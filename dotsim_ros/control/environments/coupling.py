@@ -97,6 +97,10 @@ class CoupledFinger:
     Args:
         move_m: farthest that the geom moves on the gel between two solutions.
 
+    Attributes:
+        work_j: that the gel has done on geom and sensor since the last reset. A gel that was not
+            pressed then gives back what it was given at most: this stays at or below zero.
+
     Raises:
         ValueError: no such body or geom.
     """
@@ -126,6 +130,7 @@ class CoupledFinger:
         else:
             self.sensor.reset()
         self._before, self._waited_s = self._indenter(self._base()), 0.0
+        self._pushed, self.work_j = np.zeros(6), 0.0
         return self._solve(self._before)
 
     def base_pose(self) -> Pose:
@@ -161,7 +166,10 @@ class CoupledFinger:
         """Add the wrench of the gel to `xfrc_applied` of the geom's body, and its opposite to that
         of the sensor's, for one step of MuJoCo."""
         base = self._base()
-        wrench = self._predicted(base)
+        before, pushed = self._before, self._pushed
+        wrench = self._pushed = self._predicted(base)
+        # What both steps push, halved: by either alone an elastic swing would seem to lose or win.
+        self.work_j += 0.5 * float((pushed + wrench) @ _twist(before, self._before))
         self._waited_s += self._step_s
         force, torque = base.axes @ wrench[:3], base.axes @ wrench[3:]
         for body, sign in ((self._pressed_body, 1.0), (self._sensor_body, -1.0)):
