@@ -328,7 +328,7 @@ def linear_contact(
     change = by_component(response.force_n - force_n).astype(compliance.dtype)
     out_of_balance = -by_component(free_m).astype(compliance.dtype) - compliance @ change
     # Each marker answers to its own motion alone.
-    matrix = np.einsum("rin,nij->rjn", compliance.reshape(-1, 3, count), stiffness)
+    matrix = np.einsum("aim,mij->ajm", compliance.reshape(-1, 3, count), stiffness)
     matrix = matrix.reshape(3 * count, 3 * count)
     matrix[np.diag_indices(3 * count)] += 1.0
     moved = by_marker(linalg.solve(matrix, -out_of_balance, overwrite_a=True, check_finite=False))
