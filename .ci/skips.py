@@ -68,6 +68,7 @@ KNOWN: dict[str, Callable[[], bool]] = {
     "needs the right to mount": lambda: os.geteuid() != 0,
     "no disk can be mounted here": _anywhere,  # in most containers
     "LLVM": _anywhere,  # a library of the system, which no package of Python brings
+    "Warp has no compiler for a GPU": _anywhere,  # a build of Warp without CUDA
     "single core|one core": lambda: (os.cpu_count() or 1) < 2 or len(os.sched_getaffinity(0)) < 2,
 }
 """Reasons as the tests give them, and whether each holds on this machine."""
