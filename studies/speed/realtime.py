@@ -12,7 +12,7 @@ Four parts, one after the other, so that none disturbs another:
 3. The sensor alone under the same motion, for a sphere, a box edge, a cone, a ring, two bumps and
    two flat faces, with how often the gel fits into a frame of the explicit reference; the same for
    a sphere with a learned image, with the share of a frame's time that is left at the median
-   (headroom); then a batch of gels in processes of their own, by turns with one gel alone.
+   (headroom).
 4. The explicit reference of the paper: 100 substeps a frame at 1.2 mm.
 
 Latency is measured to the newest sent pose that an Image has reached: from the publication of that
@@ -53,8 +53,6 @@ from sensor_msgs.msg import Image
 import msg_adapters
 from dotsim_ros.data.motion import Motion
 from dotsim_ros.data.scripted import Site, in_sequence, press_hold_release, slide
-from dotsim_ros.gel.batch import GelBatch
-from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.sensor import TactileSensor
@@ -70,7 +68,6 @@ POSE_RATE_HZ = 100.0
 SETTLE_S = 2.0
 CASES = ("sphere_4mm", "box_edge", "cone", "torus", "two_bumps", "flat_punch", "box_face")
 LEARNED_SENSOR = "sensor_a"
-BATCH_SIZE = 4
 GEL_PARTS = ("contact", "solve")
 OPTICS_PARTS = ("depth", "image")
 EXPLICIT_FRAMES = 2
@@ -339,45 +336,6 @@ def measure_sensor(name: str, indenter: str, frame_count: int) -> dict[str, Any]
     }
 
 
-def measure_batch(name: str, indenter: str, frame_count: int) -> dict[str, Any]:
-    """Return the time of a batch of gels, for each environment and frame, and that of a gel alone.
-
-    Every environment makes the same motion, each a part of it ahead of the one before. The gel
-    alone makes it by turns with the batch, so that both meet the same machine.
-    """
-    specification, shape = load_sensor(name), load_indenter(indenter)
-    alone = make_gel_batch(specification, indenter=shape, environment_count=1)
-    motion = motion_under_load()
-    spent_s: list[float] = []
-    alone_s: list[float] = []
-    unconverged = 0
-    with GelBatch(specification, indenter=shape, environment_count=BATCH_SIZE) as gel:
-        for index in range(-WARM_FRAMES, frame_count):
-            time_s = max(index, 0) / FRAME_RATE_HZ
-            poses = [
-                motion.at((time_s + part * motion.duration_s / BATCH_SIZE) % motion.duration_s)
-                for part in range(BATCH_SIZE)
-            ]
-            begun_s = time.perf_counter()
-            states = gel.step(poses, 1.0 / FRAME_RATE_HZ)
-            between_s = time.perf_counter()
-            alone.step(poses[:1], 1.0 / FRAME_RATE_HZ)
-            if index >= 0:
-                spent_s.append((between_s - begun_s) / BATCH_SIZE)
-                alone_s.append(time.perf_counter() - between_s)
-                unconverged += sum(not state.converged for state in states)
-    return {
-        "indenter": indenter,
-        "environments": BATCH_SIZE,
-        "frames": frame_count,
-        "gel_per_environment": percentiles_ms(spent_s),
-        "mean_ms": round(1e3 * float(np.mean(spent_s)), 2),
-        "alone_mean_ms": round(1e3 * float(np.mean(alone_s)), 2),
-        "cost_ratio": round(float(np.mean(spent_s) / np.mean(alone_s)), 3),
-        "unconverged_frames": unconverged,
-    }
-
-
 def headroom(sensor_figures: Mapping[str, Any], rate_hz: float) -> float:
     """Return the share of a frame's time that a sensor leaves at the median."""
     return round(1.0 - 1e-3 * float(sensor_figures["total"]["p50_ms"]) * rate_hz, 3)
@@ -413,7 +371,6 @@ def realtime(
     latency = percentiles_ms(node.pop("latency_s"))
     cases = {name: measure_sensor(sensor, name, case_frames) for name in CASES}
     learned = measure_sensor(LEARNED_SENSOR, CASES[0], case_frames)
-    batch = measure_batch(sensor, CASES[0], case_frames)
     explicit_frame_ms = explicit_ms("cpu", EXPLICIT_FRAMES)
     for case in cases.values():
         case["gel_p95_speedup"] = speedup(case, explicit_frame_ms)
@@ -427,11 +384,9 @@ def realtime(
         "optics_p95_ms": float(node["node"].get("optics_p95_ms", "nan")),
         "explicit_ratio": round(1e-3 * explicit_frame_ms * cases[CASES[0]]["frames_per_second"], 1),
         "explicit_frames_per_second": round(1e3 / explicit_frame_ms, 3),
-        "batch_cost_ratio": batch["cost_ratio"],
         "headroom": headroom(learned, rate_hz),
         "start_up": starts,
         "node": node,
         "cases": cases,
         "learned": learned,
-        "batch": batch,
     }

@@ -3,11 +3,11 @@
 
 """The figures of speed in one record, of the studies that take them in full.
 
-The node over DDS, the sensor alone for each indenter, and a batch are measured as in realtime.py,
-the environment as in environments.py; the loop is `dotsim_ros demo-loop`, once in real time and
-once in simulated time. Where there is a CUDA device, many sensors are simulated there together, as
-in many_on_device.py; with `--device cuda` nothing else is measured, and `--device cpu --worlds 1 2`
-is that run's rehearsal.
+The node over DDS and the sensor alone for each indenter are measured as in realtime.py, a batch as
+in batch.py, the environment as in environments.py; the loop is `dotsim_ros demo-loop`, once in
+real time and once in simulated time. Where there is a CUDA device, many sensors are simulated
+there together, as in many_on_device.py; with `--device cuda` nothing else is measured, and
+`--device cpu --worlds 1 2` is that run's rehearsal.
 """
 
 from __future__ import annotations
@@ -22,17 +22,16 @@ from dotsim_ros.control.policy.rollout import APPROACH_S
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.specification import load_sensor
 from studies.run import FAILED, expect_positive
+from studies.speed.batch import batch
 from studies.speed.device_check import explicit_ms
 from studies.speed.environments import steps_per_second
 from studies.speed.many_on_device import on_device
 from studies.speed.realtime import (
-    BATCH_SIZE,
     CASES,
     EXPLICIT_FRAMES,
     FRAME_RATE_HZ,
     LEARNED_SENSOR,
     headroom,
-    measure_batch,
     measure_node,
     measure_sensor,
     speedup,
@@ -41,6 +40,7 @@ from studies.timing import percentiles_ms
 
 SENSOR = "densetact2"
 CUDA = "cuda"
+BATCH_SIZE = 64
 
 
 def node_figures(sensor: str, seconds: float) -> dict[str, float]:
@@ -136,10 +136,7 @@ def speed(
             **node_figures(LEARNED_SENSOR, seconds),
             "headroom": headroom(learned, FRAME_RATE_HZ),
         },
-        "batch": {
-            "count": BATCH_SIZE,
-            "cost_ratio": measure_batch(SENSOR, CASES[0], case_frames)["cost_ratio"],
-        },
+        "batch": {"count": BATCH_SIZE, **batch(counts=(BATCH_SIZE,))[str(BATCH_SIZE)]},
         "environments_steps_per_second": round(steps_per_second(1, steps), 1),
         "loop": loop_figures(laps),
     }

@@ -126,7 +126,12 @@ def test_environments_equal_single_runs(setting: dict[str, Any]) -> None:
         [pressed(0.2e-3), *(pressed(0.4e-3, x) for x in (0.4e-3, 0.8e-3, 1.2e-3))],
     ]
     batch = pad_gel(contact=FRICTION, environment_count=len(paths), **setting)
-    together = [batch.step([path[k] for path in paths], 0.04) for k in range(4)]
+    together = []
+    for k in range(4):
+        # A refused step moves no environment.
+        with pytest.raises(PressTooDeepError):
+            batch.step([None, None, pressed(PAD_TOP_M - 1.0e-3)], 0.04)
+        together.append(batch.step([path[k] for path in paths], 0.04))
     for e, path in enumerate(paths):
         single = pad_gel(contact=FRICTION, **setting)
         for k, pose in enumerate(path):

@@ -369,6 +369,7 @@ class ImplicitGel:
         return World(np.zeros(shape), np.zeros(shape), np.zeros_like(rest), rest.copy())
 
     @exclusive()
+    @single_threaded()
     def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
         """Move the indenter of every environment to its pose (None: away) and find the gel.
 
@@ -381,17 +382,12 @@ class ImplicitGel:
                 gel is bonded to; no environment has moved.
             ValueError: as many poses as environments are needed, and a positive duration.
         """
-        return self.follow(self.plan(poses, dt_s), dt_s)
-
-    @exclusive()
-    def plan(self, poses: Sequence[Pose | None], dt_s: float) -> list[list[Pose | None]]:
-        """Return the poses of the substeps on the way to a pose in every environment, and move
-        nothing; arguments and errors are those of `step`."""
         if len(poses) != self.environment_count:
             raise ValueError(f"{len(poses)} poses for {self.environment_count} environments")
         if not dt_s > 0.0:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
-        return [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
+        paths = [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
+        return [self._step_world(e, path, dt_s) for e, path in enumerate(paths)]
 
     @exclusive()
     def place(self, environment: int, pose: Pose) -> None:
@@ -403,12 +399,6 @@ class ImplicitGel:
         else:
             self._come_to_rest(world)
         world.pose = pose
-
-    @exclusive()
-    @single_threaded()
-    def follow(self, paths: Sequence[Sequence[Pose | None]], dt_s: float) -> list[GelState]:
-        """Move along paths that `plan` has found for the same duration."""
-        return [self._step_world(e, path, dt_s) for e, path in enumerate(paths)]
 
     def check_depth(self, pose: Pose) -> None:
         """Refuse a pose that presses too deep, without moving there.
