@@ -51,8 +51,9 @@ MOVES: tuple[Move, ...] = (
 GRIPPED_S, SET_DOWN_S, END_S = 0.16, 1.72, 1.9
 SLIPPING_M_S = 2.0e-3
 """Speed on the pads from which an object slips. The gel alone lets it creep a fifth as fast."""
-PULL_S = 0.75
-PULL_SHARES = 0.85, 1.15
+LOADED_S, RESTED_S, PULL_S = 0.6, 0.66, 0.5
+"""After the grip: the first load is on, has come to rest, and for how long the pull grows."""
+PULL_SHARES = 0.9, 1.1
 """Of Coulomb's load, between which the pull grows in that time."""
 MOST_MOVED_MM, MOST_TURNED_DEG, MOST_ASTRAY_MM = 1.0, 3.0, 1.0
 MOST_GROWN = 0.02
@@ -339,16 +340,18 @@ def pull(what: Object, sensors: Sequence[TactileSensor]) -> dict[str, float]:
     coulomb_n = 2.0 * friction * what.grip_n
     body = grasp.data.body("object")
     load_n, slip_n, height_m = 0.0, float("nan"), 0.0
-    while grasp.data.time < GRIPPED_S + 0.1 + PULL_S:
+    while grasp.data.time < GRIPPED_S + RESTED_S + PULL_S:
         grasp.step()
         before_m, height_m = height_m, float(grasp.place()[0][2])
         since_s = grasp.data.time - GRIPPED_S
-        if since_s > 0.15 and height_m - before_m > SLIPPING_M_S * COUPLING_S:
+        # The gel gives way faster than that while the first load comes on.
+        if since_s > RESTED_S and height_m - before_m > SLIPPING_M_S * COUPLING_S:
             slip_n = load_n
             break
-        load_n = coulomb_n * float(
-            np.interp(since_s, [0.0, 0.1, 0.1 + PULL_S], [0.0, *PULL_SHARES])
-        )
+        first, last = PULL_SHARES
+        share = float(np.clip(since_s / LOADED_S, 0.0, 1.0))
+        grown = max(since_s - RESTED_S, 0.0) / PULL_S
+        load_n = coulomb_n * (first * share**2 * (3.0 - 2.0 * share) + (last - first) * grown)
         # At the middle of the grip, not of the mass.
         force_n = np.array([0.0, 0.0, load_n])
         torque_nm = np.cross(body.xpos - body.xipos, force_n)
