@@ -154,6 +154,7 @@ STUDIES: dict[str, Study] = {
     "environments": Study(5, "speed.environments:environments"),
     "find_gap": Study(30, "gap.search_time:find_gap"),
     "force_control": Study(5, "speed.force_control:force_control"),
+    "frame_shares": Study(2, "speed.frame_shares:frame_shares", in_all=False),
     "gap": Study(31, "gap.study:gap"),
     "gap_discrepancy": Study(60, "gap.discrepancy:gap_discrepancy", in_all=False),
     "gap_images": Study(10, "gap.images_study:gap_images"),

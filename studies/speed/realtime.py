@@ -48,7 +48,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2
 
 import msg_adapters
 from dotsim_ros.data.motion import Motion
@@ -174,9 +174,9 @@ def ages_at_hand_s(latency_s: list[float], arrived_s: list[float]) -> list[float
 class PosePlayer(threading.Thread):
     """Publishes the motion over and over, and remembers when it sent which pose."""
 
-    def __init__(self, node: Node, *, seconds: float) -> None:
+    def __init__(self, node: Node, motion: Motion, *, seconds: float) -> None:
         super().__init__(daemon=True)
-        self._seconds = seconds
+        self._motion, self._seconds = motion, seconds
         self.publisher = PosePublisher(node)
         self._sent: list[tuple[NDArray[np.float64], float, int]] = []
 
@@ -186,7 +186,7 @@ class PosePlayer(threading.Thread):
         return SentPath(np.array(position_m), np.array(sent_s), np.array(stamp_ns))
 
     def run(self) -> None:
-        motion = motion_under_load()
+        motion = self._motion
         begun_s = time.monotonic()
         for index in range(int(self._seconds * POSE_RATE_HZ)):
             pose = motion.at(index / POSE_RATE_HZ % motion.duration_s)
@@ -217,13 +217,19 @@ def measure_start_up() -> dict[str, float]:
 
 
 def measure_node(
-    seconds: float, rate_hz: float, sensor: str, parameters: Mapping[str, Any] | None = None
+    seconds: float,
+    rate_hz: float,
+    sensor: str,
+    parameters: Mapping[str, Any] | None = None,
+    *,
+    motion: Motion | None = None,
 ) -> dict[str, Any]:
-    """Return rate, latency and the node's own figures under the motion.
+    """Return rate, latency and the node's own figures under a motion.
 
     Args:
         seconds: how long.
         rate_hz, sensor, parameters: parameters of the node.
+        motion: again and again; None for that under load.
 
     Raises:
         OSError: the node does not start.
@@ -254,7 +260,10 @@ def measure_node(
         node.create_subscription(Image, "image_raw", on_image, 5)
         node.create_subscription(PoseStamped, "indenter/state", on_state, 50)
         node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
-        player = PosePlayer(node, seconds=seconds + SETTLE_S)
+        # Where the skin has printed markers.
+        node.create_subscription(PointCloud2, "markers", lambda _: None, 5)
+        moves = motion or motion_under_load()
+        player = PosePlayer(node, moves, seconds=seconds + SETTLE_S)
         while not player.publisher.has_reader():
             executor.spin_once(timeout_sec=0.1)
         player.start()

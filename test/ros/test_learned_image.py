@@ -10,16 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from harness import LockstepPress, sensor
 
 from dotsim_ros import Pose, TactileSensor, load_indenter, load_sensor
 from dotsim_ros.specification import NoiseSpecification, SensorSpecification
+from studies.speed.frame_shares import shares
 
 LEARNED = replace(load_sensor("sensor_a"), noise=NoiseSpecification())
 PLAIN = replace(LEARNED, camera=replace(LEARNED.camera, residual=""))
 
 
-PARTS = ("gel", "solve", "touch", "view", "warp", "network", "message", "publish")
+PARTS = ("gel", "solve", "touch", "view", "warp", "normals", "network", "message", "publish")
 
 
 def test_the_network_completes_what_the_node_publishes(tmp_path: Path) -> None:
@@ -37,6 +39,8 @@ def test_the_network_completes_what_the_node_publishes(tmp_path: Path) -> None:
     assert not np.array_equal(frame.image(), seen_by(PLAIN))
 
     check_trace(trace)
+    with pytest.raises(ValueError, match="0 frames in real time, expected 2 or more"):
+        shares(trace)
 
 
 def check_trace(trace: Path) -> None:
@@ -51,6 +55,36 @@ def check_trace(trace: Path) -> None:
         if span["tid"] == frame["tid"] and begun <= span["ts"] and span["ts"] + span["dur"] <= ended
     ]
     assert set(PARTS) <= {span["name"] for span in inside}
-    outermost = ("gel", "view", "warp", "network", "message", "publish")
+    outermost = ("gel", "view", "warp", "normals", "network", "message", "publish")
     covered = sum(span["dur"] for span in inside if span["name"] in outermost)
     assert 0.8 * frame["dur"] < covered <= frame["dur"]
+
+
+def test_a_part_of_a_frame_is_its_time_less_what_lies_within(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.json"
+    # Thread, begin and end in milliseconds; the first comes before the first frame.
+    given = [
+        ("wait", 1, 0, 9),
+        ("frames", 1, 10, 20),
+        ("gel", 1, 11, 16),
+        ("solve", 1, 12, 14),
+        ("band", 2, 12, 13),
+        ("frames", 1, 50, 54),
+        ("gel", 1, 50, 53),
+    ]
+    spans = [
+        {"ph": "X", "name": name, "tid": thread, "ts": 1e3 * begun, "dur": 1e3 * (ended - begun)}
+        for name, thread, begun, ended in given
+    ]
+    trace.write_text("[\n" + "".join(json.dumps(span) + ",\n" for span in spans))
+    found = shares(trace)
+    assert found["frames_per_second"] == 25.0
+    assert [tuple(part.values()) for part in found["parts"]] == [
+        ("frames", 3.0, 10.0),
+        ("gel", 3.0, 5.0),
+        ("solve", 1.0, 2.0),
+        ("band", 0.5, 1.0),
+    ]
+    trace.write_text("not a trace")
+    with pytest.raises(ValueError, match="no trace of a node"):
+        shares(trace)

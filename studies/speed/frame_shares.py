@@ -1,0 +1,140 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where the milliseconds of a frame go, by traces of running nodes (`-p trace:=FILE` of any node).
+
+A part's time is that of its spans less what other spans take within them, by the wall clock: on a
+machine that others use it holds their share, too. Parts of two threads may run at once.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dotsim_ros.cli.demo_loop import POLICY
+from dotsim_ros.control.loop.judge import trial_start
+from dotsim_ros.control.policy.demonstration import contact_of
+from dotsim_ros.control.policy.network import read_policy
+from dotsim_ros.control.policy.paths import reference_path
+from dotsim_ros.control.policy.rollout import APPROACH_S
+from dotsim_ros.data.motion import Motion
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.nodes.loop.closed_loop import (
+    REALTIME,
+    SENSOR,
+    ClosedLoop,
+    LoopSetup,
+    loop_parameters,
+    policy_name,
+)
+from dotsim_ros.nodes.tactile_policy.files import policy_folder
+from dotsim_ros.sensor import FRAME_S
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.view.sensors import motion
+from studies.run import expect_positive
+from studies.speed.realtime import FRAME_RATE_HZ, LEARNED_SENSOR, measure_node
+
+MARKED_SENSOR = "gelsight_mini"
+LOOP = "loop"
+FRAMES = ("frames", "inference", "arm")
+"""Spans that count as a frame: of the sensor, the policy, the arm; a process has one of them."""
+
+
+def shares(file: Path) -> dict[str, Any]:
+    """Return the rate of a trace's frames, and of each part milliseconds of a frame and the longest
+    span, the largest part first.
+
+    Raises:
+        ValueError: it is no trace of a node, or one without two frames.
+    """
+    try:
+        # The list has no end.
+        events = json.loads(file.read_text(encoding="utf-8").rstrip().rstrip(",") + "]")
+        spans = sorted((e["tid"], e["ts"], -e["dur"], e["name"]) for e in events if e["ph"] == "X")
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{file} is no trace of a node ({error!r}); write one with -p trace:=FILE"
+        ) from error
+    frames_us = [begun_us for _, begun_us, _, name in spans if name in FRAMES]
+    if len(frames_us) < 2:
+        raise ValueError(f"{file} holds {len(frames_us)} frames in real time, expected 2 or more")
+    first_us = min(frames_us)
+    own_us: defaultdict[str, float] = defaultdict(float)
+    longest_us: defaultdict[str, float] = defaultdict(float)
+    around: list[tuple[int, float, str]] = []
+    for thread, begun_us, minus_us, name in spans:
+        if begun_us < first_us:
+            continue
+        while around and (around[-1][0] != thread or around[-1][1] <= begun_us):
+            around.pop()
+        own_us[name] -= minus_us
+        longest_us[name] = max(longest_us[name], -minus_us)
+        if around:
+            own_us[around[-1][2]] += minus_us
+        around.append((thread, begun_us - minus_us, name))
+    count = len(frames_us)
+    return {
+        "frames_per_second": round(1e6 * (count - 1) / (max(frames_us) - first_us), 2),
+        "parts": [
+            {
+                "part": name,
+                "ms_per_frame": round(1e-3 * us / count, 2),
+                "longest_ms": round(1e-3 * longest_us[name], 1),
+            }
+            for name, us in sorted(own_us.items(), key=lambda each: -each[1])
+        ],
+    }
+
+
+def traced_node(sensor: str, seconds: float, file: Path) -> None:
+    """Trace a sensor's node while a ball presses, slides and lifts."""
+    specification = load_sensor(sensor)
+    apex_m = skin_of(specification.gel).apex_m
+    poses = tuple(pose.on(apex_m) for pose in motion(specification))
+    moves = Motion(FRAME_S * np.arange(len(poses), dtype=np.float64), poses)
+    measure_node(seconds, FRAME_RATE_HZ, sensor, {"trace": file}, motion=moves)
+
+
+def traced_loop(seconds: float, folder: Path) -> None:
+    """Trace the nodes of the closed loop in real time, a file each."""
+    policy = policy_folder(POLICY)
+    card, _ = read_policy(policy)
+    ball = load_indenter(loop_parameters(SENSOR)["indenter"])
+    contact = contact_of(load_sensor(card.sensor), ball)
+    setup = LoopSetup(
+        policy_name(policy),
+        sensor=card.sensor,
+        sensor_parameters={"trace": folder / f"{LOOP}_sensor"},
+        policy_parameters={"trace": folder / f"{LOOP}_policy"},
+        arm_parameters={"trace": folder / f"{LOOP}_arm"},
+    )
+    path = reference_path("figure_eight", contact)
+    with ClosedLoop(setup, contact=contact, clock=REALTIME) as loop:
+        loop.start(path.name)
+        loop.trial(trial_start(path, contact, seed=0, number=0), APPROACH_S + seconds)
+        loop.close()
+
+
+def frame_shares(*, files: tuple[Path, ...] = (), seconds: float = 20.0) -> dict[str, Any]:
+    """Where the milliseconds of a frame go: shares of its parts, by traces of running nodes.
+
+    Args:
+        files: traces; none: of a dome with a learned image, a pad with markers, and the loop.
+        seconds: that each of these is traced.
+    """
+    expect_positive(seconds=seconds)
+    with tempfile.TemporaryDirectory() as name:
+        if not files:
+            folder = Path(name)
+            for sensor in (LEARNED_SENSOR, MARKED_SENSOR):
+                traced_node(sensor, seconds, folder / sensor)
+            traced_loop(seconds, folder)
+            files = tuple(sorted(folder.iterdir()))
+        return {"traces": {file.name: shares(file) for file in files}}
