@@ -35,7 +35,7 @@ from dotsim_ros.optics.network import completion_network
 from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.picture import frame_picture
-from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
 from dotsim_ros.twin.force_control import pose_at_force
 
@@ -61,9 +61,7 @@ class Frame:
         time_s: simulated time since the last reset.
         indenter_pose: in the base frame; None where no indenter is near.
         image: (H, W, 3) uint8, red, green, blue.
-        depth_m: (H, W) range, the distance along the ray; NaN where no skin is seen.
-        normal: (H, W, 3) unit normal in the optical frame, towards the camera.
-        material_point_m: (H, W, 3) rest position, base frame, of the skin point that is seen.
+        view: what the camera sees, of which the arrays below are taken; not to be written to.
         skin_position_m: (V, 3) skin markers, base frame.
         skin_normal: (V, 3) unit normals out of the gel, base frame.
         wrench: force and torque of the gel on the indenter, about the base frame's origin.
@@ -79,9 +77,7 @@ class Frame:
     time_s: float
     indenter_pose: Pose | None
     image: ImageArray
-    depth_m: Float32Array
-    normal: Float32Array
-    material_point_m: Float32Array
+    view: View
     skin_position_m: FloatArray
     skin_normal: FloatArray
     wrench: Wrench
@@ -90,6 +86,22 @@ class Frame:
     converged: bool
     idle_image: ImageArray
     max_skin_motion_m: float
+
+    @property
+    def depth_m(self) -> Float32Array:
+        """(H, W) range, the distance along the ray; NaN where no skin is seen."""
+        return self.view.depth_m
+
+    @property
+    def normal(self) -> Float32Array:
+        """(H, W, 3) unit normal in the optical frame, towards the camera; computed when read."""
+        return self.view.normal
+
+    @property
+    def material_point_m(self) -> Float32Array:
+        """(H, W, 3) rest position, base frame, of the skin point that is seen; computed when
+        read."""
+        return self.view.material_point_m
 
     def __repr__(self) -> str:
         height, width = self.image.shape[:2]
@@ -335,6 +347,9 @@ class TactileSensor:
             device=self.device,
         )
         self._renderer, self._idle = renderer, idle
+        # Most of the time nothing touches the gel: what is seen then is drawn once.
+        self._untouched = renderer.render(self.skin.rest_position_m)
+        self._untouched_image = self._image.render(self._untouched)
 
     def set_idle_image(self, image: ImageArray, *, disc: LitDisc | None = None) -> None:
         """Replace the idle image; lighting and vignetting stay.
@@ -358,9 +373,8 @@ class TactileSensor:
 
     def _warn_of_misfit(self) -> None:
         """Warn where the idle image was not taken through this sensor's camera."""
-        sees_gel = self._renderer.render(self.skin.rest_position_m).mask
         camera = self.specification.camera
-        reason = self._idle.misfit(sees_gel, camera.half_height_angle_deg)
+        reason = self._idle.misfit(self._untouched.mask, camera.half_height_angle_deg)
         if reason:
             warnings.warn(
                 f"the idle image of sensor {self.specification.name!r} does not fit its camera: "
@@ -557,12 +571,16 @@ class TactileSensor:
     def _seen(self, gel: GelFrame, pose: Pose | None) -> Frame:
         clock = time.perf_counter
         start = clock()
+        is_untouched = np.array_equal(gel.skin_position_m, self.skin.rest_position_m)
         with tracing.span("view"):
-            view = self._renderer.render(gel.skin_position_m)
+            if is_untouched:
+                view = replace(self._untouched, depth_m=self._untouched.depth_m.copy())
+            else:
+                view = self._renderer.render(gel.skin_position_m)
         seen = clock()
         moment = (self._noise.seed, round(1e9 * gel.time_s))
         image = with_noise(
-            self._image.render(view),
+            self._untouched_image.copy() if is_untouched else self._image.render(view),
             self._noise.deviation_levels,
             moment,
             channel_count=self.specification.camera.channel_count,
@@ -572,9 +590,7 @@ class TactileSensor:
             time_s=gel.time_s,
             indenter_pose=pose,
             image=image,
-            depth_m=view.depth_m,
-            normal=view.normal,
-            material_point_m=view.material_point_m,
+            view=view,
             skin_position_m=gel.skin_position_m,
             skin_normal=view.vertex_normal @ self.camera.pose.rotation().T,
             wrench=gel.wrench,

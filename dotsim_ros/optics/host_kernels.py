@@ -10,7 +10,7 @@ last bit; the tests hold both against each other. The types are those of Clang, 
 for a CPU with: any CPU has them, whatever the width of its registers. Threads share a frame by
 bands of rows (`bands`), so a kernel writes to the rows that it is given alone.
 
-`launch_dim`, `fill_view` and `warp_idle` take what their namesakes in `kernels` take.
+`launch_dim`, `fill_normals` and `warp_idle` take what their namesakes in `kernels` take.
 """
 
 # Kernels are Warp's language, whose types are none of a type checker's.
@@ -22,7 +22,7 @@ from dotsim_ros.optics.kernels import (
     NO_TRIANGLE,
     ImagePixels,
     Lens,
-    ViewPixels,
+    NormalPixels,
     inverse_corners,
     pixels_around,
 )
@@ -50,16 +50,22 @@ _NEAREST_IN_BOX = """
     const int count = triangle_seen.shape[0] * width;
     // What lies beyond may be another thread's.
     const int last_start = row_end * width - 8;
-    const auto& all = inverse.data[0];
-    const auto& to_b = inverse.data[1];
-    const auto& to_c = inverse.data[2];
-    for (int row = box[2]; row <= box[3]; ++row) {
-        const int end = row * width + box[1] + 1;
-        for (int first = row * width + box[0]; first < end; first += 8) {
+    // Copies stay in registers: what is written cannot change them.
+    const auto all = inverse.data[0];
+    const auto to_b = inverse.data[1];
+    const auto to_c = inverse.data[2];
+    const auto corners = box;
+    const float* const rays = ray.data;
+    int* const triangles_seen = triangle_seen.data;
+    float* const depths = depth.data;
+    auto* const weights = barycentric.data;
+    for (int row = corners[2]; row <= corners[3]; ++row) {
+        const int end = row * width + corners[1] + 1;
+        for (int first = row * width + corners[0]; first < end; first += 8) {
             // The last lanes of the band start earlier, and leave out what lies before.
             const int start = first < last_start ? first : last_start;
             const flags place = start + number;
-            const float* direction = ray.data + start;
+            const float* direction = rays + start;
             const lanes x = *(const lanes*)direction;
             const lanes y = *(const lanes*)(direction + count);
             const lanes z = *(const lanes*)(direction + 2 * count);
@@ -72,14 +78,14 @@ _NEAREST_IN_BOX = """
                 & (weight_b >= least) & (weight_c >= least)
                 & (total - weight_b - weight_c >= least);
             const lanes distance = 1.0f / total;
-            flags& seen = *(flags*)(triangle_seen.data + start);
-            lanes& nearest = *(lanes*)(depth.data + start);
+            flags& seen = *(flags*)(triangles_seen + start);
+            lanes& nearest = *(lanes*)(depths + start);
             const flags closer = inside & ((seen == no_triangle) | (distance < nearest));
             seen = closer ? face : seen;
             nearest = closer ? distance : nearest;
             const lanes b = weight_b * distance;
             const lanes c = weight_c * distance;
-            pairs& weight = *(pairs*)(barycentric.data + start);
+            pairs& weight = *(pairs*)(weights + start);
             const pairs both = __builtin_shufflevector(
                 b, c, 0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15);
             const pair_flags written = __builtin_shufflevector(
@@ -155,7 +161,7 @@ def rasterize(
     )
 
 
-_FILL_ROW = """
+_NORMAL_ROW = """
     // A copy stays in registers: what is written cannot change it.
     const auto view = given;
     typedef float four __attribute__((vector_size(16)));
@@ -167,33 +173,22 @@ _FILL_ROW = """
     };
     const four nothing = four{} + __builtin_nanf("");
     int loaded = no_triangle;
-    four rest[3] = {};
     four outward[3] = {};
     const int end = (row + 1) * view.triangle_seen.shape[1];
     for (int at = end - view.triangle_seen.shape[1]; at < end; ++at) {
         const int face = view.triangle_seen.data[at];
         if (face == no_triangle) {
             store(nothing, view.normal.data[at]);
-            store(nothing, view.material_point.data[at]);
-            view.depth.data[at] = nothing[0];
-            view.barycentric.data[at] = wp::vec_t<2, float>(0.0f, 0.0f);
             continue;
         }
         if (face != loaded) {
             loaded = face;
-            for (int i = 0; i < 3; ++i) {
-                const int corner = view.triangles.data[3 * face + i];
-                rest[i] = load(view.rest_position.data[corner]);
-                outward[i] = load(view.vertex_normal.data[corner]);
-            }
-            for (int i = 1; i < 3; ++i) {
-                rest[i] -= rest[0];
-                outward[i] -= outward[0];
-            }
+            for (int i = 0; i < 3; ++i)
+                outward[i] = load(view.vertex_normal.data[view.triangles.data[3 * face + i]]);
+            for (int i = 1; i < 3; ++i) outward[i] -= outward[0];
         }
         const float b = view.barycentric.data[at][0];
         const float c = view.barycentric.data[at][1];
-        store(rest[0] + b * rest[1] + c * rest[2], view.material_point.data[at]);
         const four towards = outward[0] + b * outward[1] + c * outward[2];
         const four square = towards * towards;
         const four along = towards * load(view.ray.data[at]);
@@ -204,17 +199,17 @@ _FILL_ROW = """
 """
 
 
-@wp.func_native(_FILL_ROW)
-def fill_row(row: int, no_triangle: int, given: ViewPixels):
-    """Fill the pixels of a row."""
+@wp.func_native(_NORMAL_ROW)
+def normal_row(row: int, no_triangle: int, given: NormalPixels):
+    """Fill the normals of a row."""
     ...
 
 
 @wp.kernel
-def fill_view(view: ViewPixels, row_first: int):
-    """`kernels.fill_view`, the three parts of a vector at once."""
+def fill_normals(view: NormalPixels, row_first: int):
+    """`kernels.fill_normals`, the three parts of a vector at once."""
     row, _ = wp.tid()
-    fill_row(row_first + row, _NO_TRIANGLE, view)
+    normal_row(row_first + row, _NO_TRIANGLE, view)
 
 
 _WARP_ROW = """

@@ -277,6 +277,8 @@ class ImageRenderer:
         """Return the image (H, W, 3), red, green, blue, of what the camera sees."""
         with tracing.span("warp"):
             warped = self.warp(view)
+        if self.completion is None:
+            return warped
         return self.completed(view.depth_m, view.normal, warped)
 
     def completed(
@@ -284,8 +286,7 @@ class ImageRenderer:
     ) -> ImageArray:
         """Return the warped image (H, W, 3) of a view's depth (H, W) and normals (H, W, 3) with
         what the completion adds."""
-        if self.completion is None:
-            return warped
+        assert self.completion is not None
         # Rounded and clipped to whole grey levels.
         with tracing.span("network"):
             added = cv2.add(warped, self.completion(depth_m, normal, warped), dtype=cv2.CV_8U)

@@ -180,52 +180,57 @@ def normal_towards_camera(
 
 
 @wp.struct
-class ViewPixels:
-    """What `fill_view` reads and writes: of each pixel the triangle seen and the weights of its
-    second and third corner, ray, range, normal and place at rest; of the skin its triangles and, of
-    each vertex, normal and place at rest."""
+class NormalPixels:
+    """What `fill_normals` reads and writes: of each pixel the triangle seen and the weights of its
+    second and third corner, ray and normal; of the skin its triangles and the vertices' normals."""
 
     triangle_seen: wp.array2d(dtype=wp.int32)
     barycentric: wp.array2d(dtype=wp.vec2)
     ray: wp.array2d(dtype=wp.vec3)
-    depth: wp.array2d(dtype=wp.float32)
     normal: wp.array2d(dtype=wp.vec3)
-    material_point: wp.array2d(dtype=wp.vec3)
     triangles: wp.array2d(dtype=wp.int32)
     vertex_normal: wp.array(dtype=wp.vec3)
-    rest_position: wp.array(dtype=wp.vec3)
 
 
 @wp.kernel
-def fill_view(view: ViewPixels, row_first: int):
-    """Normal towards the camera and material point of a pixel, rows counted from one on; no numbers
-    where no skin is."""
+def fill_normals(view: NormalPixels, row_first: int):
+    """Normal towards the camera of a pixel, rows counted from one on; no numbers where no skin
+    is."""
     row_number, x = wp.tid()
     y = row_first + row_number
     face = view.triangle_seen[y, x]
     if face == _NO_TRIANGLE:
-        nothing = wp.vec3(_NAN, _NAN, _NAN)
-        view.normal[y, x] = nothing
-        view.material_point[y, x] = nothing
-        view.depth[y, x] = _NAN
-        view.barycentric[y, x] = wp.vec2(0.0, 0.0)
+        view.normal[y, x] = wp.vec3(_NAN, _NAN, _NAN)
         return
-    i0 = view.triangles[face, 0]
-    i1 = view.triangles[face, 1]
-    i2 = view.triangles[face, 2]
-    weight = view.barycentric[y, x]
-    rest = view.rest_position[i0]
-    view.material_point[y, x] = (
-        rest
-        + weight[0] * (view.rest_position[i1] - rest)
-        + weight[1] * (view.rest_position[i2] - rest)
-    )
     view.normal[y, x] = normal_towards_camera(
-        view.vertex_normal[i0],
-        view.vertex_normal[i1],
-        view.vertex_normal[i2],
-        weight,
+        view.vertex_normal[view.triangles[face, 0]],
+        view.vertex_normal[view.triangles[face, 1]],
+        view.vertex_normal[view.triangles[face, 2]],
+        view.barycentric[y, x],
         view.ray[y, x],
+    )
+
+
+@wp.kernel
+def fill_material_points(
+    triangle_seen: wp.array2d(dtype=wp.int32),
+    barycentric: wp.array2d(dtype=wp.vec2),
+    triangles: wp.array2d(dtype=wp.int32),
+    rest_position: wp.array(dtype=wp.vec3),
+    material_point: wp.array2d(dtype=wp.vec3),
+):
+    """Place at rest of what a pixel sees; no numbers where no skin is."""
+    y, x = wp.tid()
+    face = triangle_seen[y, x]
+    if face == _NO_TRIANGLE:
+        material_point[y, x] = wp.vec3(_NAN, _NAN, _NAN)
+        return
+    weight = barycentric[y, x]
+    rest = rest_position[triangles[face, 0]]
+    material_point[y, x] = (
+        rest
+        + weight[0] * (rest_position[triangles[face, 1]] - rest)
+        + weight[1] * (rest_position[triangles[face, 2]] - rest)
     )
 
 

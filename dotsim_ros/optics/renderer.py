@@ -10,14 +10,16 @@ corners. On a CPU threads share the rows, see `bands`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io import tracing
 from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, IndexArray
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
@@ -32,10 +34,6 @@ class View:
 
     Attributes:
         depth_m: (H, W) range, the distance along the ray; NaN where no skin is seen.
-        normal: (H, W, 3) unit normal in the optical frame, on the camera's side; NaN where no
-            skin is seen.
-        material_point_m: (H, W, 3) where the skin point that is seen lies at rest, in the base
-            frame; NaN where no skin is seen.
         triangle: (H, W) the triangle that is seen, -1 for none.
         barycentric: (H, W, 2) weights of that triangle's second and third corner.
         vertex_position_m: (V, 3) the skin's vertices in the optical frame.
@@ -44,13 +42,31 @@ class View:
     """
 
     depth_m: Float32Array
-    normal: Float32Array
-    material_point_m: Float32Array
     triangle: IndexArray
     barycentric: Float32Array
     vertex_position_m: Float32Array
     vertex_normal: Float32Array
     vertex_pixel: Float32Array
+    _renderer: SkinRenderer | None = field(repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Pickled without the renderer, so what only it can compute goes along.
+        computed = {"normal": self.normal, "material_point_m": self.material_point_m}
+        return {**self.__dict__, **computed, "_renderer": None}
+
+    @cached_property
+    def normal(self) -> Float32Array:
+        """(H, W, 3) unit normal in the optical frame, on the camera's side; NaN where no skin is
+        seen. Computed when first read."""
+        assert self._renderer is not None
+        return self._renderer.normals_of(self)
+
+    @cached_property
+    def material_point_m(self) -> Float32Array:
+        """(H, W, 3) where the skin point that is seen lies at rest, in the base frame; NaN where no
+        skin is seen. Computed when first read."""
+        assert self._renderer is not None
+        return self._renderer.material_points_of(self)
 
     @cached_property
     def mask(self) -> BoolArray:
@@ -98,7 +114,7 @@ class SkinRenderer:
             CPU, else one. Any number gives the same to the last bit.
 
     Attributes:
-        pixel_kernels: the module whose kernel fills the view; both give the same to the last bit.
+        pixel_kernels: the module whose kernel fills in normals; both give the same to the last bit.
 
     Raises:
         ValueError: the image has too few pixels for the rasteriser of a CPU.
@@ -136,7 +152,8 @@ class SkinRenderer:
             self._finder = RayQueryFinder(self._rays, self._triangles, vertices)
 
     def _upload(self, array: NDArray[np.generic], dtype: type) -> wp.array:
-        return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device)
+        # No copy on a CPU: what is uploaded is only read.
+        return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device, copy=False)
 
     def _optical(self, position_m: ArrayLike) -> wp.array:
         return self._upload(self.camera.to_optical(position_m).astype(np.float32), wp.vec3)
@@ -166,8 +183,9 @@ class SkinRenderer:
         triangle = self._memory.array(size, wp.int32)
         barycentric = self._memory.array(size, wp.vec2)
         depth = self._memory.array(size, wp.float32)
-        normal = self._memory.array(size, wp.vec3)
-        material_point = self._memory.array(size, wp.vec3)
+        # As it stays where no skin is seen.
+        barycentric.zero_()
+        depth.fill_(np.nan)
         wp.launch(
             kernels.project_vertices,
             dim=count,
@@ -183,31 +201,52 @@ class SkinRenderer:
             device=self._device,
         )
         self._finder.find(vertices, vertex_pixel, triangle, barycentric, depth)
-
-        view = kernels.ViewPixels()
-        view.triangle_seen, view.barycentric, view.ray = triangle, barycentric, self._rays
-        view.depth, view.normal, view.material_point = depth, normal, material_point
-        view.triangles, view.vertex_normal = self._triangles, vertex_normal
-        view.rest_position = self._rest_position
-
-        def fill(first: int, end: int) -> wp.Launch:
-            return wp.launch(
-                self.pixel_kernels.fill_view,
-                dim=self.pixel_kernels.launch_dim(end - first, self.camera.width),
-                inputs=[view, first],
-                device=self._device,
-                record_cmd=True,
-            )
-
-        launch_bands(self._bands, fill)
         # On a CPU these share memory with Warp's arrays, which live as long as they do.
         return View(
             depth_m=depth.numpy(),
-            normal=normal.numpy(),
-            material_point_m=material_point.numpy(),
             triangle=triangle.numpy(),
             barycentric=barycentric.numpy(),
             vertex_position_m=vertices.numpy(),
             vertex_normal=vertex_normal.numpy(),
             vertex_pixel=vertex_pixel.numpy(),
+            _renderer=self,
         )
+
+    def normals_of(self, view: View) -> Float32Array:
+        """Return `View.normal` of a view of this renderer."""
+        pixels = kernels.NormalPixels()
+        pixels.triangle_seen = self._upload(view.triangle, wp.int32)
+        pixels.barycentric = self._upload(view.barycentric, wp.vec2)
+        pixels.vertex_normal = self._upload(view.vertex_normal, wp.vec3)
+        pixels.ray, pixels.triangles = self._rays, self._triangles
+        pixels.normal = normal = self._memory.array(view.triangle.shape, wp.vec3)
+
+        def fill(first: int, end: int) -> wp.Launch:
+            return wp.launch(
+                self.pixel_kernels.fill_normals,
+                dim=self.pixel_kernels.launch_dim(end - first, self.camera.width),
+                inputs=[pixels, first],
+                device=self._device,
+                record_cmd=True,
+            )
+
+        with tracing.span("normals"):
+            launch_bands(self._bands, fill)
+        return np.asarray(normal.numpy(), dtype=np.float32)
+
+    def material_points_of(self, view: View) -> Float32Array:
+        """Return `View.material_point_m` of a view of this renderer."""
+        material_point = self._memory.array(view.triangle.shape, wp.vec3)
+        wp.launch(
+            kernels.fill_material_points,
+            dim=view.triangle.shape,
+            inputs=[
+                self._upload(view.triangle, wp.int32),
+                self._upload(view.barycentric, wp.vec2),
+                self._triangles,
+                self._rest_position,
+            ],
+            outputs=[material_point],
+            device=self._device,
+        )
+        return np.asarray(material_point.numpy(), dtype=np.float32)

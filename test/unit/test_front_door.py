@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -28,6 +29,7 @@ from dotsim_ros import (
 from dotsim_ros.io import progress
 from dotsim_ros.io.moved import MOVED
 from dotsim_ros.optics.picture import BACKGROUND, CHANGE_GAIN, TITLE_HEIGHT_PX
+from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SolverSpecification
 
 FOREVER = {
@@ -179,6 +181,37 @@ def test_a_frame_is_saved_as_image_change_and_range_side_by_side(tmp_path, frame
     frame.save(str(tmp_path / "press.JPG"))
     read = cv2.cvtColor(cv2.imread(str(tmp_path / "press.JPG")), cv2.COLOR_BGR2RGB)
     assert np.abs(read.astype(int) - picture).mean() < 8.0
+
+
+@pytest.mark.parametrize("name", ["coarse", "sensor_a"])
+def test_a_frame_is_the_whole_drawing_of_its_skin(coarse, name):
+    # The network of sensor_a knows the whole camera only.
+    given = coarse if name == "coarse" else load_sensor(name)
+    sensor = TactileSensor(
+        replace(given, gel=replace(given.gel, skin_spacing_m=1.5e-3), solver=coarse.solver),
+        indenter=load_indenter("sphere_4mm"),
+    )
+    frames = []
+    # Away, a press, a slide, a release, and a jump to a press elsewhere.
+    places_mm = ((-1.0, 0.0), (0.5, 0.0), (0.5, 0.3), (-1.0, 0.0), (-2.0, 0.0), (0.6, -2.0))
+    for depth_mm, x_mm in places_mm:
+        if x_mm < 0.0:
+            sensor.reset()
+        frames.append(sensor.step(Pose.above_apex(1e-3 * depth_mm, x_m=1e-3 * x_mm)))
+        # What a holder does to its frame changes no other.
+        kept = [array.copy() for array in (frames[-1].image, frames[-1].depth_m)]
+        frames[-1].image[:], frames[-1].depth_m[:] = 0, 0.0
+        view = SkinRenderer(sensor.camera, sensor.skin).render(frames[-1].skin_position_m)
+        assert np.array_equal(kept[1], view.depth_m, equal_nan=True)
+        assert np.array_equal(kept[0], sensor._image.render(view))
+    for frame in frames:
+        view = SkinRenderer(sensor.camera, sensor.skin).render(frame.skin_position_m)
+        for each in ("normal", "material_point_m"):
+            assert np.array_equal(getattr(frame, each), getattr(view, each), equal_nan=True), each
+    moved = [bool(frame.max_skin_motion_m) for frame in frames]
+    assert moved == [False, True, True, False, False, True]
+    again = pickle.loads(pickle.dumps(frames[-1]))
+    assert np.array_equal(again.normal, frames[-1].normal, equal_nan=True)
 
 
 def test_a_frame_is_printed_on_one_line(frame):

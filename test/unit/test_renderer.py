@@ -210,14 +210,12 @@ def test_flat_pad_through_a_turned_camera():
     assert view.normal[50, 50] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
 
 
-def test_kernels_of_a_cpu_fill_the_view_as_the_others_do(camera, dome):
+def test_kernels_of_a_cpu_fill_in_the_normals_as_the_others_do(camera, dome):
     renderer = SkinRenderer(camera, dome)
     position = pressed(dome)
-    view = renderer.render(position)
+    normal = renderer.render(position).normal
     renderer.pixel_kernels = kernels
-    expected = renderer.render(position)
-    for name in ("normal", "material_point_m", "depth_m", "barycentric"):
-        assert np.array_equal(getattr(view, name), getattr(expected, name), equal_nan=True), name
+    assert np.array_equal(normal, renderer.render(position).normal, equal_nan=True)
 
 
 def test_vertices_of_another_skin_or_that_are_not_finite_are_refused(camera, dome):
