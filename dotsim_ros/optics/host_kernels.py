@@ -80,17 +80,23 @@ _NEAREST_IN_BOX = """
             const lanes distance = 1.0f / total;
             flags& seen = *(flags*)(triangles_seen + start);
             lanes& nearest = *(lanes*)(depths + start);
-            const flags closer = inside & ((seen == no_triangle) | (distance < nearest));
-            seen = closer ? face : seen;
-            nearest = closer ? distance : nearest;
+            pairs& weight = *(pairs*)(weights + start);
+            // All are read before one is written: else Clang makes masked stores of it, which are
+            // slow on some CPUs (Agner Fog, "Instruction tables": VMASKMOVPS of AMD's).
+            const flags seen_before = seen;
+            const lanes nearest_before = nearest;
+            const pairs weight_before = weight;
+            const flags closer = inside & ((seen_before == no_triangle)
+                | (distance < nearest_before));
             const lanes b = weight_b * distance;
             const lanes c = weight_c * distance;
-            pairs& weight = *(pairs*)(weights + start);
             const pairs both = __builtin_shufflevector(
                 b, c, 0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15);
             const pair_flags written = __builtin_shufflevector(
                 closer, closer, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7);
-            weight = written ? both : weight;
+            seen = closer ? face : seen_before;
+            nearest = closer ? distance : nearest_before;
+            weight = written ? both : weight_before;
         }
     }
 """
