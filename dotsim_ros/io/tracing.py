@@ -40,15 +40,16 @@ class Trace:
         self._event(ph="M", name="process_name", args={"name": process})
         gc.callbacks.append(self._on_collection)
 
-    def add(self, name: str, begun_s: float, ended_s: float) -> None:
-        """Write what this thread did between two readings of `time.perf_counter`."""
+    def add(self, name: str, begun_s: float, ended_s: float, cpu_s: float | None = None) -> None:
+        """Write what this thread did between two readings of `time.perf_counter`, and how long it
+        had a core meanwhile, where that is known."""
         thread = threading.get_ident()
         if thread not in self._threads:
             self._threads.add(thread)
             named = {"name": threading.current_thread().name}
             self._event(ph="M", name="thread_name", tid=thread, args=named)
-        spent_s = ended_s - begun_s
-        self._event(ph="X", name=name, tid=thread, ts=1e6 * begun_s, dur=1e6 * spent_s)
+        event = {"name": name, "tid": thread, "ts": 1e6 * begun_s, "dur": 1e6 * (ended_s - begun_s)}
+        self._event(ph="X", **event, **({} if cpu_s is None else {"tdur": 1e6 * cpu_s}))
 
     def _event(self, **event: Any) -> None:
         self._write(json.dumps({"pid": os.getpid(), **event}) + ",\n")
@@ -125,8 +126,8 @@ def add(name: str, begun_s: float) -> None:
 
 @contextmanager
 def _span(trace: Trace, name: str) -> Iterator[None]:
-    begun_s = time.perf_counter()
+    begun_s, core_s = time.perf_counter(), time.thread_time()
     try:
         yield
     finally:
-        trace.add(name, begun_s, time.perf_counter())
+        trace.add(name, begun_s, time.perf_counter(), time.thread_time() - core_s)

@@ -3,8 +3,9 @@
 
 """Where the milliseconds of a frame go, by traces of running nodes (`-p trace:=FILE` of any node).
 
-A part's time is that of its spans less what other spans take within them, by the wall clock: on a
-machine that others use it holds their share, too. Parts of two threads may run at once.
+A part's time is that of its spans less what other spans take within them: by the wall clock, which
+counts the waits for a core and for Python's lock, and of a core, which does not. Parts of the gel
+have no time of a core: "gel" has it. Parts of two threads may run at once.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +49,18 @@ FRAMES = ("frames", "inference", "arm")
 """Spans that count as a frame: of the sensor, the policy, the arm; a process has one of them."""
 
 
+@dataclass
+class Part:
+    """A part of the frames: times without what lies within, in microseconds."""
+
+    wall_us: float = 0.0
+    core_us: float = 0.0
+    longest_us: float = 0.0
+
+
 def shares(file: Path) -> dict[str, Any]:
-    """Return the rate of a trace's frames, and of each part milliseconds of a frame and the longest
-    span, the largest part first.
+    """Return the rate of a trace's frames, and of each part milliseconds of a frame, by the wall
+    clock and of a core, and its longest span, the largest part first.
 
     Raises:
         ValueError: it is no trace of a node, or one without two frames.
@@ -57,38 +68,45 @@ def shares(file: Path) -> dict[str, Any]:
     try:
         # The list has no end.
         events = json.loads(file.read_text(encoding="utf-8").rstrip().rstrip(",") + "]")
-        spans = sorted((e["tid"], e["ts"], -e["dur"], e["name"]) for e in events if e["ph"] == "X")
+        spans = sorted(
+            (e["tid"], e["ts"], -e["dur"], e["name"], e.get("tdur", 0.0))
+            for e in events
+            if e["ph"] == "X"
+        )
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{file} is no trace of a node ({error!r}); write one with -p trace:=FILE"
         ) from error
-    frames_us = [begun_us for _, begun_us, _, name in spans if name in FRAMES]
+    frames_us = [span[1] for span in spans if span[3] in FRAMES]
     if len(frames_us) < 2:
         raise ValueError(f"{file} holds {len(frames_us)} frames in real time, expected 2 or more")
     first_us = min(frames_us)
-    own_us: defaultdict[str, float] = defaultdict(float)
-    longest_us: defaultdict[str, float] = defaultdict(float)
-    around: list[tuple[int, float, str]] = []
-    for thread, begun_us, minus_us, name in spans:
+    parts: defaultdict[str, Part] = defaultdict(Part)
+    around: list[tuple[int, float, Part]] = []
+    for thread, begun_us, minus_us, name, core_us in spans:
         if begun_us < first_us:
             continue
         while around and (around[-1][0] != thread or around[-1][1] <= begun_us):
             around.pop()
-        own_us[name] -= minus_us
-        longest_us[name] = max(longest_us[name], -minus_us)
+        part = parts[name]
+        part.wall_us -= minus_us
+        part.core_us += core_us
+        part.longest_us = max(part.longest_us, -minus_us)
         if around:
-            own_us[around[-1][2]] += minus_us
-        around.append((thread, begun_us - minus_us, name))
+            around[-1][2].wall_us += minus_us
+            around[-1][2].core_us -= core_us
+        around.append((thread, begun_us - minus_us, part))
     count = len(frames_us)
     return {
         "frames_per_second": round(1e6 * (count - 1) / (max(frames_us) - first_us), 2),
         "parts": [
             {
                 "part": name,
-                "ms_per_frame": round(1e-3 * us / count, 2),
-                "longest_ms": round(1e-3 * longest_us[name], 1),
+                "wall_ms_per_frame": round(1e-3 * part.wall_us / count, 2),
+                "core_ms_per_frame": round(1e-3 * part.core_us / count, 2),
+                "longest_ms": round(1e-3 * part.longest_us, 1),
             }
-            for name, us in sorted(own_us.items(), key=lambda each: -each[1])
+            for name, part in sorted(parts.items(), key=lambda each: -each[1].wall_us)
         ],
     }
 
@@ -102,8 +120,8 @@ def traced_node(sensor: str, seconds: float, file: Path) -> None:
     measure_node(seconds, FRAME_RATE_HZ, sensor, {"trace": file}, motion=moves)
 
 
-def traced_loop(seconds: float, folder: Path) -> None:
-    """Trace the nodes of the closed loop in real time, a file each."""
+def traced_loop(seconds: float, file: Path) -> None:
+    """Trace the sensor's node in the closed loop in real time."""
     policy = policy_folder(POLICY)
     card, _ = read_policy(policy)
     ball = load_indenter(loop_parameters(SENSOR)["indenter"])
@@ -111,9 +129,7 @@ def traced_loop(seconds: float, folder: Path) -> None:
     setup = LoopSetup(
         policy_name(policy),
         sensor=card.sensor,
-        sensor_parameters={"trace": folder / f"{LOOP}_sensor"},
-        policy_parameters={"trace": folder / f"{LOOP}_policy"},
-        arm_parameters={"trace": folder / f"{LOOP}_arm"},
+        sensor_parameters={"trace": file},
     )
     path = reference_path("figure_eight", contact)
     with ClosedLoop(setup, contact=contact, clock=REALTIME) as loop:
@@ -135,6 +151,6 @@ def frame_shares(*, files: tuple[Path, ...] = (), seconds: float = 20.0) -> dict
             folder = Path(name)
             for sensor in (LEARNED_SENSOR, MARKED_SENSOR):
                 traced_node(sensor, seconds, folder / sensor)
-            traced_loop(seconds, folder)
+            traced_loop(seconds, folder / LOOP)
             files = tuple(sorted(folder.iterdir()))
         return {"traces": {file.name: shares(file) for file in files}}

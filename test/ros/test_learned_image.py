@@ -62,28 +62,29 @@ def check_trace(trace: Path) -> None:
 
 def test_a_part_of_a_frame_is_its_time_less_what_lies_within(tmp_path: Path) -> None:
     trace = tmp_path / "trace.json"
-    # Thread, begin and end in milliseconds; the first comes before the first frame.
+    # Thread, begin and end, and of a core, in milliseconds; the first is before the first frame.
     given = [
-        ("wait", 1, 0, 9),
-        ("frames", 1, 10, 20),
-        ("gel", 1, 11, 16),
-        ("solve", 1, 12, 14),
-        ("band", 2, 12, 13),
-        ("frames", 1, 50, 54),
-        ("gel", 1, 50, 53),
+        ("wait", 1, 0, 9, 0),
+        ("frames", 1, 10, 20, 8),
+        ("gel", 1, 11, 16, 4),
+        ("solve", 1, 12, 14, None),
+        ("band", 2, 12, 13, 1),
+        ("frames", 1, 50, 54, 4),
+        ("gel", 1, 50, 53, 2),
     ]
     spans = [
         {"ph": "X", "name": name, "tid": thread, "ts": 1e3 * begun, "dur": 1e3 * (ended - begun)}
-        for name, thread, begun, ended in given
+        | ({} if core is None else {"tdur": 1e3 * core})
+        for name, thread, begun, ended, core in given
     ]
     trace.write_text("[\n" + "".join(json.dumps(span) + ",\n" for span in spans))
     found = shares(trace)
     assert found["frames_per_second"] == 25.0
     assert [tuple(part.values()) for part in found["parts"]] == [
-        ("frames", 3.0, 10.0),
-        ("gel", 3.0, 5.0),
-        ("solve", 1.0, 2.0),
-        ("band", 0.5, 1.0),
+        ("frames", 3.0, 3.0, 10.0),
+        ("gel", 3.0, 3.0, 5.0),
+        ("solve", 1.0, 0.0, 2.0),
+        ("band", 0.5, 0.5, 1.0),
     ]
     trace.write_text("not a trace")
     with pytest.raises(ValueError, match="no trace of a node"):
