@@ -16,6 +16,8 @@ from geometry_msgs.msg import TwistStamped
 from harness import APEX_M, BASE_FRAME, Client, Executable, TactileFrame, sensor
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
@@ -330,6 +332,14 @@ def test_the_indenter_can_be_changed_and_changed_back(session: Session) -> None:
     assert 0.0 < small.force_n()[2] < sphere.force_n()[2]
     assert client.set_parameters(indenter="sphere_4mm").successful
     assert press(client, 0.001).is_same(sphere)
+
+
+def test_a_reader_of_another_quality_is_named(session: Session) -> None:
+    executable, client = session
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    reader = client.node.create_subscription(Image, "image_raw", lambda _: None, latched)
+    executable.wait_for_line("requesting incompatible QoS")
+    client.node.destroy_subscription(reader)
 
 
 def test_a_node_that_has_started_by_itself_can_be_managed_too(session: Session) -> None:

@@ -45,6 +45,7 @@ from dotsim_ros.nodes.common.node_clock import (
 )
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.reasons import nearest
+from dotsim_ros.nodes.common.seldom import SeldomCallbacks
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.simulated_time.participant import StepParticipant, stamp_of
 from dotsim_ros.nodes.simulated_time.schedule import PacedWork
@@ -98,6 +99,7 @@ class WorkingNode(Node):
         self.participant: StepParticipant | None = None
         self._simulated: SimulatedClock | None = None
         self._local = composed_topics()
+        self._publisher_events = SeldomCallbacks()
         self.failures = Failures(self)
         self._parameter_checks: list[ParameterCheck] = [_refuse_nameless]
         super().__init__(name, **options)
@@ -120,7 +122,9 @@ class WorkingNode(Node):
         # A signal between the executor's look at the context and its wait wakes nothing: of a node
         # without a timer, one SIGINT in 20 was lost.
         self.create_timer(
-            WAKE_PERIOD_S, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            WAKE_PERIOD_S,
+            self._publisher_events.open,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
 
     def begin(self) -> None:
@@ -179,6 +183,7 @@ class WorkingNode(Node):
             topic_quality.keep_all(quality)
         if participant is not None or local is not None:
             options["publisher_class"] = LocalPublisher
+        options.setdefault("callback_group", self._publisher_events)
         try:
             publisher = super().create_publisher(
                 msg_type, topic, quality, **topic_quality.with_check(options)
