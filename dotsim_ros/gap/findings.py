@@ -92,6 +92,27 @@ class ResidualPlace:
 
 
 @dataclass(frozen=True)
+class ShearGap:
+    """What a trajectory shows as a whole of shear, or of what is left after it.
+
+    Attributes:
+        name, unit: of the quantity.
+        trajectory: that shows it.
+        measured, before, after: its values, the latter with the calibrated twin and with the named
+            effects.
+        deviation: that is expected where no effect is missing.
+    """
+
+    name: str
+    unit: str
+    trajectory: str
+    measured: float
+    before: float
+    after: float
+    deviation: float
+
+
+@dataclass(frozen=True)
 class ChannelGap:
     """A channel's RMS on the held-out trajectories, in its own unit.
 
@@ -287,6 +308,7 @@ class Findings:
         candidates: in the order of their rank.
         calibrated: the nuisances as fitted, with their prior's range of 95 % as `low` to `high`.
         places: where the gap is.
+        shear: slides and unloadings as a whole, what is farthest off first.
         gaps: by channel on the held-out trajectories; on all where none is held out.
         share_closed, share_closed_low, share_closed_high: of the gap, with its interval; None if
             nothing was added.
@@ -320,6 +342,7 @@ class Findings:
     candidates: tuple[Candidate, ...] = ()
     calibrated: tuple[Estimate, ...] = ()
     places: tuple[ResidualPlace, ...] = ()
+    shear: tuple[ShearGap, ...] = ()
     gaps: tuple[ChannelGap, ...] = ()
     share_closed: float | None = None
     share_closed_low: float | None = None

@@ -18,6 +18,7 @@ from dotsim_ros.gap.findings import (
     Pair,
     Question,
     ResidualPlace,
+    ShearGap,
     Verdict,
     WorstFrame,
 )
@@ -86,6 +87,7 @@ def named() -> Findings:
             Estimate("offset_z_m", "m", 2.0e-5, -1.0e-5, 5.0e-5),
         ),
         places=places(),
+        shear=(ShearGap("way to the onset of slip", "m", "slide", 8.1e-4, 5.3e-4, 8e-4, 9e-5),),
         gaps=(
             ChannelGap("skin", "m", 0.21e-3, 0.15e-3, 0.052e-3, 0.05e-3),
             ChannelGap("force", "N", 0.31, 0.22, 0.05, 0.04),

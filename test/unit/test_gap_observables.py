@@ -10,6 +10,7 @@ import pytest
 
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.recording import Phase, Recording, phases_of
+from dotsim_ros.gap.presses import shear
 from dotsim_ros.gap.presses.observables import (
     PATCH_COUNT,
     SIZE,
@@ -120,3 +121,40 @@ def test_patterns_lean_with_the_force_parallel_to_the_base_whatever_the_axes(
         moved = leaning[-1, 2, 3 * PATCH_COUNT - 3 : 3 * PATCH_COUNT] @ rows
         assert moved[0] == pytest.approx(0.6 * 0.01 * recording.depth_m[2])
         assert np.allclose(moved[1:], 0.0)
+
+
+def slid_and_let_go(way_mm: list[float]) -> Recording:
+    """Return a press that slides to each way along y, 2 mm deep, and leaves."""
+    path = [[0.0, 0.0, 16.0], [0.0, 0.0, 13.75]]
+    path += [[0.0, way, 13.75] for way in way_mm] + [[0.0, way_mm[-1], 16.0]]
+    return recording_of(path, [0.0, 0.4, *(0.5 + 0.1 * np.arange(len(way_mm))), 2.0])
+
+
+def test_a_slide_shows_its_stiffness_and_where_it_slips_and_the_skin_what_is_left(
+    skin: SkinMesh,
+) -> None:
+    way_mm = [0.2, 0.4, 0.6, 1.0, 1.5]
+    recording = slid_and_let_go(way_mm)
+    places = places_of(recording, skin)
+    # 1000 N/m up to 0.6 N, about a force that the press has given.
+    force = np.zeros((8, 3))
+    force[1:7, 1] = 0.05 - np.minimum(1e-3 * np.array([0.0, *way_mm]) * 1000.0, 0.6)
+    moved = np.stack([skin.rest_position_m] * 8)
+    moved[7] += [0.0, 3e-5, -2e-5]
+    seen = observe(places, skin.rest_position_m, moved, force, 8)
+    assert shear.tangential_stiffness(recording, places, seen) == pytest.approx(1000.0)
+    assert shear.slip_onset_m(recording, places, seen) == pytest.approx(0.6e-3)
+    assert shear.left_inward_m(recording, places, seen) == pytest.approx(2e-5)
+    assert shear.left_along_m(recording, places, seen) == pytest.approx(3e-5)
+    # What sticks to the end does not show where it slips; what slips at once, not how stiff it is.
+    force[1:7, 1] = -np.array([0.0, *way_mm])
+    sticking = observe(places, skin.rest_position_m, None, force, 8)
+    assert np.isnan(shear.slip_onset_m(recording, places, sticking))
+    force[2:7, 1] = -0.6
+    slipping = observe(places, skin.rest_position_m, None, force, 8)
+    assert np.isnan(shear.tangential_stiffness(recording, places, slipping))
+    assert np.isnan(shear.left_inward_m(recording, places, slipping))
+    pressed = recording_of([[0, 0, 16], [0, 0, 14]], [0.0, 0.4])
+    alone = observe(places_of(pressed, skin), skin.rest_position_m, moved[:2], force[:2], 2)
+    for quantity in shear.QUANTITIES.values():
+        assert np.isnan(quantity.of(pressed, places_of(pressed, skin), alone))

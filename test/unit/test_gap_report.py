@@ -188,6 +188,8 @@ def test_a_named_effect_is_reported_with_its_numbers() -> None:
     assert "Share of the gap closed on the held-out trajectories: 96 % (91 % to 99 %)" in text
     assert "skin: 0.052 mm, 1.04 times the floor: no detectable gap remains" in text
     assert "force: 0.05 N, 1.25 times the floor: a gap remains" in text
+    rows = report_files(named(), {}, {})["report.md"].decode()
+    assert "| way to the onset of slip | slide | 0.81 mm | 0.53 mm | 0.8 mm | 0.09 mm |" in rows
     assert "offset_z = 0.02 (prior -0.01 to 0.05) mm" in text
     assert "neither found nor excluded" in text
     assert "the name is not stable" not in text

@@ -38,6 +38,7 @@ from dotsim_ros.gap.presses.locate import (
 )
 from dotsim_ros.gap.presses.made_up import no_gap_sentence
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
+from dotsim_ros.gap.presses.shear import shear_gaps
 from dotsim_ros.gap.report import wording
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.twin.follow import SolveError
@@ -112,6 +113,7 @@ def findings_of(
         candidates=_candidates(search, ranked, silent),
         calibrated=_calibrated(case, refitted),
         places=places,
+        shear=shear_gaps(case, residuals, measured),
         gaps=gaps,
         share_closed=None if closed is None else closed.share,
         share_closed_low=None if closed is None else closed.low,

@@ -86,6 +86,7 @@ def report_files(
         stable_share=decision.STABLE_SHARE,
         remaining=_remaining(gel),
         place_rows=_place_rows(gel),
+        shear_rows=_shear_rows(gel),
         pair_rows=_pair_rows(gel),
         explanation_rows=[(one.title, _percent(one.weight)) for one in gel.explanations],
         question_rows=_question_rows(gel),
@@ -202,6 +203,25 @@ def _remaining(f: Findings) -> Sequence[tuple[object, float, float]]:
     """Return each channel, its RMS that is left, and how many floors that is."""
     left = [(gap, gap.after if f.named else gap.recalibrated) for gap in f.gaps if gap.floor > 0.0]
     return [(gap, value, value / gap.floor) for gap, value in left]
+
+
+def _shear_rows(f: Findings) -> Rows:
+    return [
+        (
+            one.name,
+            one.trajectory,
+            *(
+                quantity(value, one.unit)
+                for value in (
+                    one.measured,
+                    one.before,
+                    *((one.after,) if f.named else ()),
+                    one.deviation,
+                )
+            ),
+        )
+        for one in f.shear[:_STRONGEST_PLACES]
+    ]
 
 
 def _place_rows(f: Findings) -> Rows:
