@@ -65,6 +65,16 @@ def test_a_size_and_a_nuisance_are_found_within_their_errors(random: np.random.G
     assert fit(seen, nothing(seen)).objective > found.objective + 100.0
 
 
+def test_an_effect_in_small_units_leaves_the_nuisances_free(random: np.random.Generator) -> None:
+    evidence = evidence_of(random)
+    column = random.standard_normal((len(evidence.residual), 1))
+    data = evidence.with_residual(evidence.nuisance @ np.array([2.0, -1.0]) + 0.1 * column[:, 0])
+    # As metres a newton are: 1e-5 of them is a large size.
+    found, small = fit(data, column), fit(data, 1e7 * column)
+    assert small.nuisance == pytest.approx(found.nuisance, rel=1e-6)
+    assert small.objective == pytest.approx(found.objective, rel=1e-6)
+
+
 def test_one_bad_trajectory_does_not_name_an_effect(random: np.random.Generator) -> None:
     evidence = evidence_of(random)
     column = random.standard_normal(len(evidence.residual))

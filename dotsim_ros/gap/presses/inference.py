@@ -165,7 +165,9 @@ def _bounded(
     """Return the solution of gram x = right with the sizes, x[q:], held within bounds."""
     m = len(right)
     ridged = gram.copy()
-    ridged.flat[:: m + 1] += 1e-9 * np.trace(gram) / m
+    # Of each column by itself: a size in small units would hold the nuisances fast.
+    diagonal = np.diag(gram)
+    ridged.flat[:: m + 1] += 1e-9 * np.where(diagonal > 0.0, diagonal, 1.0)
     held: dict[int, float] = {}
     unknown = np.asarray(np.linalg.solve(ridged, right), dtype=np.float64)
     free = list(range(m))
