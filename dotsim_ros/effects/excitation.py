@@ -15,6 +15,9 @@ STRAINING_M = 1.0e-3
 REVERSAL_COSINE = -0.5
 """Two moves one after the other whose directions are this far apart go there and back."""
 
+SOON_S = 0.15
+"""A frame this soon after the motion has changed shows what only follows it."""
+
 LATER_S = 10.0
 """A recording that ends sooner after the session's start does not show what changes with time."""
 
@@ -56,6 +59,24 @@ def reverses(recording: Recording) -> bool:
             return True
         last = move / length
     return False
+
+
+def moves_in_contact(recording: Recording) -> bool:
+    """Return whether the indenter presses and moves."""
+    return touches(recording) and recording.has(Phase.LOAD, Phase.SLIDE, Phase.RELEASE)
+
+
+def shows_transients(recording: Recording) -> bool:
+    """Return whether a frame in contact comes soon after the motion has changed, by a speed that
+    leads farther than the noise of a pose in that time."""
+    stamp_s = recording.press.stamp_s
+    position = np.stack([pose.position_m for pose in recording.press.poses])
+    step_s = np.diff(stamp_s)
+    if len(step_s) < 2 or not np.all(step_s > 0.0):
+        return False
+    velocity = np.diff(position, axis=0) / step_s[:, None]
+    changed = np.linalg.norm(np.diff(velocity, axis=0), axis=1) * SOON_S > STILL_M
+    return bool(np.any(changed & (step_s[1:] <= SOON_S) & (recording.depth_m[2:] > TOUCH_M)))
 
 
 def presses_late(recording: Recording) -> bool:

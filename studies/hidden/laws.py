@@ -190,14 +190,21 @@ LAWS: Mapping[str, HiddenLaw] = {
         HiddenLaw("scaled_force", "force_scale", 0.15, 0.3, "share", answer=_scaled),
         HiddenLaw("softened", "mullins_softening", 0.15, 0.35, "share", answer=_softened),
         HiddenLaw("set", "permanent_set", 0.04, 0.1, "of the peak", answer=_set),
-        HiddenLaw("crosstalk", "", 0.1, 0.25, "share", answer=_crosstalk),
+        HiddenLaw("crosstalk", "force_crosstalk_x", 0.1, 0.25, "share", answer=_crosstalk),
         HiddenLaw("leaning_base", "", 0.05e-3, 0.2e-3, "m/N", answer=_sticky_base),
         HiddenLaw("swollen", "", 0.1e-3, 0.3e-3, "m", answer=_swollen),
         HiddenLaw("late_skin", "", 0.05, 0.15, "s", answer=_late_skin),
     )
 }  # fmt: skip
 
-FORMULAS_OF_LIBRARY = ("slippery", "compressible", "thin", "mounted_off", "scaled_force")
+FORMULAS_OF_LIBRARY = (
+    "slippery",
+    "compressible",
+    "thin",
+    "mounted_off",
+    "scaled_force",
+    "crosstalk",
+)
 """Laws that are the library's own formulas in other letters: finding them tells nothing about an
 effect of another form."""
 OTHER_LAWS = tuple(name for name in LAWS if name not in FORMULAS_OF_LIBRARY)

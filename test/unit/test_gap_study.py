@@ -82,7 +82,7 @@ def test_an_answer_is_right_if_it_names_all_that_is_hidden_and_nothing_else() ->
     assert case(off, Verdict.NAMED, "pose_offset_x").is_right
     assert not case(off, Verdict.NAMED, "pose_offset_x", "latency").is_right
     assert not case((*late, *off), Verdict.NAMED, "pose_offset", "pose_offset_x").is_right
-    assert case((("crosstalk", 1.0),), Verdict.UNKNOWN).is_right
+    assert case((("leaning_base", 1.0),), Verdict.UNKNOWN).is_right
     assert not case((*late, *off), Verdict.NAMED, "latency").is_right
     assert case((*late, *off), Verdict.NAMED, "latency", "pose_offset").is_right
 

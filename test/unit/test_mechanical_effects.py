@@ -10,6 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
+from scipy.spatial.transform import Rotation
 
 from dotsim_ros.data.presses import Press
 from dotsim_ros.data.recording import Recording, phases_of
@@ -53,6 +55,15 @@ LOAD = recording_of([-0.5, 0.5, 1.0, 1.5, 2.0])
 HELD = recording_of([-0.5, 1.0, 2.0, 2.0, 2.0])
 RELEASED = recording_of([-0.5, 1.0, 2.0, 1.0, 0.3, -0.5])
 SLID = recording_of([-0.5, 1.0, 2.0, 2.0, 2.0], [0.0, 0.0, 0.0, 0.5, 1.0])
+# Frames 1 s apart show where a motion ends, not how.
+SLOW = replace(HELD, press=replace(HELD.press, stamp_s=10.0 * HELD.press.stamp_s))
+TURNED = replace(
+    LOAD,
+    press=replace(
+        LOAD.press,
+        poses=[Pose(p.position_m, np.array([0.0, 0.0, 0.6, 0.8])) for p in LOAD.press.poses],
+    ),
+)
 OUTSIDE = recording_of([-1.0, -0.5, -0.7])
 
 
@@ -162,6 +173,8 @@ def test_an_effect_on_the_gel_changes_one_value(
         ("pose_offset_x", {"x_m": 3e-4}, [3e-4, 0.0, 0.0]),
         ("pose_offset_y", {"y_m": 3e-4}, [0.0, 3e-4, 0.0]),
         ("pose_offset", {"z_m": 3e-4}, [0.0, 0.0, 3e-4]),
+        # 2 mm of the tip a radian and newton along x: 0.1 m from where it turns, squared, by 0.2.
+        ("mount_rotation", {"compliance_rad_nm": 0.02, "lever_m": 0.1}, [1e-4, 0.0, 5e-8]),
     ],
 )
 def test_an_effect_on_the_pose_moves_it(
@@ -280,9 +293,65 @@ def test_backlash_steps_by_the_width_at_a_reversal() -> None:
     assert found == pytest.approx([0.0, 0.45, 0.95, 0.95, 0.55, 0.05])
 
 
+def test_a_mount_that_turns_tilts_the_indenter_and_bears_a_force_along_its_axis() -> None:
+    turned = motion_filter("mount_rotation", compliance_rad_nm=0.02, lever_m=0.1)
+    told = Pose(np.array([1e-3, 0.0, 14e-3]))
+    assert turned(0.0, told, np.array([0.0, 0.0, 5.0])) is told
+    axis = turned(0.0, told, np.array([0.0, 1.0, 5.0])).rotation()[:, 2]
+    assert axis == pytest.approx([0.0, -math.sin(2e-3), math.cos(2e-3)])
+
+
+def test_an_error_of_the_tool_turns_with_it() -> None:
+    quarter = Pose(np.zeros(3), Rotation.from_euler("z", 90, degrees=True).as_quat())
+    shifted = motion_filter("tool_offset_x", x_m=3e-4)(0.0, quarter, np.zeros(3))
+    assert shifted.position_m == pytest.approx([0.0, 3e-4, 0.0])
+    tilted = motion_filter("tool_tilt_x", x_rad=0.05)(0.0, quarter, np.zeros(3))
+    assert tilted.rotation()[:, 2] == pytest.approx([math.sin(0.05), 0.0, math.cos(0.05)])
+    assert np.array_equal(tilted.position_m, quarter.position_m)
+
+
+@pytest.mark.parametrize("damping", [0.3, 5.0])
+def test_a_controller_follows_as_the_differential_equation_does(damping: float) -> None:
+    # 20 mm/s for 0.3 s, a stop; and about z at 1 rad/s.
+    stamp_s = np.concatenate([[0.0, 0.3], np.arange(0.31, 0.8, 0.02)])
+    share = np.minimum(stamp_s, 0.3)
+    led = motion_filter("controller_lag", lag_s=0.08, damping=damping)
+    found = []
+    for stamp, done in zip(stamp_s, share, strict=True):
+        turn = Rotation.from_rotvec([0.0, 0.0, done]).as_quat()
+        found.append(led(float(stamp), Pose(np.array([0.02 * done, 0.0, 0.0]), turn), np.zeros(3)))
+    fine_s = np.linspace(0.0, 0.8, 80001)
+    system = ([1.0], [(0.04 / damping) ** 2, 0.08, 1.0])
+    _, reached, _ = lsim(system, 0.02 * np.minimum(fine_s, 0.3), fine_s)
+    expected = np.interp(stamp_s, fine_s, reached)
+    assert [pose.position_m[0] for pose in found] == pytest.approx(expected, abs=1e-9)
+    angle = [Rotation.from_quat(pose.quaternion_xyzw).magnitude() for pose in found]
+    assert angle == pytest.approx(expected / 0.02, abs=1e-3)
+    # Past the end of the motion, or like a lag of first order.
+    if damping < 1.0:
+        assert max(expected) > 0.006 + 1e-4
+    else:
+        first = 0.006 - 0.02 * 0.08 * np.exp((0.3 - stamp_s[1:]) / 0.08)
+        assert expected[1:] == pytest.approx(first, abs=0.02 * 0.08 * 0.04)
+
+
+def test_a_stage_creeps_to_its_compliance_with_one_time_constant() -> None:
+    crept = motion_filter("stage_creep", compliance_m_n=4e-5, time_s=2.0)
+    still = Pose(np.array([0.0, 0.0, 14e-3]))
+    loads_n = [(0.0, 0.0), (1e-6, 5.0), (1.0, 5.0), (5.0, 5.0), (5.000001, 0.0), (7.0, 0.0)]
+    found_m = [crept(t, still, np.array([0.0, 0.0, f])).position_m[2] - 14e-3 for t, f in loads_n]
+    end_m = 2e-4 * (1.0 - math.exp(-2.5))
+    expected = [0.0, 0.0, 2e-4 * (1.0 - math.exp(-0.5)), end_m, end_m, end_m * math.exp(-1.0)]
+    assert found_m == pytest.approx(expected, abs=1e-9)
+
+
 def test_force_effects_have_their_closed_forms() -> None:
     given = response_of(1e-3, 2.0, session_s=40.0)
     assert response_filter("force_scale", scale=1.1)(given).force_n[2] == pytest.approx(2.2)
+    mixed = response_filter("force_crosstalk_y", share=-0.1)(given)
+    assert mixed.force_n == pytest.approx([0.0, -0.2, 2.0])
+    idle = response_filter("force_bias_x", bias_n=0.3)(response_of(-1e-3, 0.0))
+    assert idle.force_n == pytest.approx([0.3, 0.0, 0.0])
     drifted = response_filter("force_drift", share_per_s=1e-3)(given)
     assert drifted.force_n[2] == pytest.approx(2.0 * 1.04)
     warmed = response_filter("thermal_drift", stiffness_change=-0.1, time_s=20.0)(given)
@@ -306,6 +375,11 @@ def test_force_effects_have_their_closed_forms() -> None:
         ("force_drift", replace(LOAD, session_s=20.0), LOAD),
         ("thermal_drift", replace(LOAD, session_s=20.0), LOAD),
         ("latency", LOAD, OUTSIDE),
+        ("controller_lag", HELD, SLOW),
+        ("stage_creep", HELD, LOAD),
+        ("mount_rotation", SLID, HELD),
+        ("tool_offset_x", TURNED, LOAD),
+        ("tool_tilt_y", replace(LOAD, indenter=cone(0.5, 10e-3)), LOAD),
     ],
 )
 def test_a_recording_excites_what_it_can_show(name: str, by: Recording, not_by: Recording) -> None:

@@ -1,15 +1,20 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Effects of the recorded pose: its offset, its delay, and what gives way below it."""
+"""Effects of the recorded pose: its offset, its delay, and what gives way below it.
+
+An offset is constant in the base frame, where the sensor stands elsewhere than it is taken to, or
+in the indenter's, where its tip does.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from dotsim_ros.data.recording import Phase, Recording
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import (
     FORCE,
     SKIN,
@@ -19,7 +24,8 @@ from dotsim_ros.effects.effect import (
     Values,
     by_frame,
 )
-from dotsim_ros.effects.excitation import reverses, touches
+from dotsim_ros.effects.excitation import moves_in_contact, reverses, touches
+from dotsim_ros.geometry.indenter import IndenterKind
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.io.arrays import FloatArray
 
@@ -59,8 +65,8 @@ POSE_OFFSET = offset_effect(
     protocol="the approach: presses that begin above the skin, at three places of it",
     taken_for=("base_compliance", "latency", "youngs_modulus"),
 )
-"""Errors of rotation are left to the offsets along x and y: about the base they move the contact by
-the sensor's height, and a round indenter that turns about its tip presses alike.
+"""A sensor that is turned about its base is left to the offsets along x and y: the contact moves by
+the sensor's height.
 """
 
 POSE_OFFSET_X = offset_effect(
@@ -76,6 +82,68 @@ POSE_OFFSET_Y = offset_effect(
     protocol="presses on both sides of the apex along y, with the skin or the image measured",
     taken_for=("camera extrinsics", "latency"),
 )
+
+TURNED = 0.1
+"""rad; an indenter whose axes are within this angle of the base frame's shows an offset in its own
+frame as one in the base frame, and is not used to name it."""
+
+
+def _is_turned(recording: Recording) -> bool:
+    turns = Rotation.from_quat([pose.quaternion_xyzw for pose in recording.press.poses])
+    return touches(recording) and bool(np.any(turns.magnitude() > TURNED))
+
+
+def _is_no_sphere(recording: Recording) -> bool:
+    return touches(recording) and recording.indenter.kind is not IndenterKind.SPHERE
+
+
+def tool_offset_effect(axis: str) -> Effect:
+    """Return the effect that moves every pose along an axis, x or y, of the indenter's frame."""
+    name, along = f"{axis}_m", "xyz".index(axis)
+
+    def moved(values: Values, stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
+        return shifted(pose, values[name] * pose.rotation()[:, along])
+
+    return Effect(
+        name=f"tool_offset_{axis}",
+        title=f"A tip displaced along its own {axis}",
+        summary=f"the tip is off its place in the robot's tool frame, along that frame's {axis}.",
+        parameters=(EffectParameter(name, "m", 0.0, -OFFSET_M, OFFSET_M, (0.2e-3, -0.2e-3)),),
+        channels=(SKIN, FORCE),
+        protocol="presses with the indenter turned in many ways, about its own axis too",
+        excited_by=_is_turned,
+        taken_for=(f"pose_offset_{axis}", "pose_offset", f"tool_tilt_{'yx'['xy'.index(axis)]}"),
+        motion=by_frame(moved),
+    )
+
+
+def tool_tilt_effect(axis: str) -> Effect:
+    """Return the effect that tilts every pose at the tip about an axis, x or y, of the indenter's
+    frame."""
+    name, about = f"{axis}_rad", np.eye(3)["xyz".index(axis)]
+    other = "yx"["xy".index(axis)]
+
+    def tilted(values: Values, stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
+        if values[name] == 0.0:
+            return pose
+        turn = Rotation.from_quat(pose.quaternion_xyzw) * Rotation.from_rotvec(values[name] * about)
+        return Pose(pose.position_m, turn.as_quat())
+
+    return Effect(
+        name=f"tool_tilt_{axis}",
+        title=f"A tool tilted about its own {axis}",
+        summary=f"the indenter is tilted at its tip in the robot's tool frame, about its {axis}.",
+        parameters=(EffectParameter(name, "rad", 0.0, -0.06, 0.06, (0.03, -0.03)),),
+        channels=(SKIN, FORCE),
+        protocol="presses with an edge, a punch or another shape that is no sphere",
+        excited_by=_is_no_sphere,
+        taken_for=(f"pose_offset_{other}", f"tool_offset_{other}"),
+        motion=by_frame(tilted),
+    )
+
+
+TOOL_OFFSET_X, TOOL_OFFSET_Y = tool_offset_effect("x"), tool_offset_effect("y")
+TOOL_TILT_X, TOOL_TILT_Y = tool_tilt_effect("x"), tool_tilt_effect("y")
 
 
 def _latency_motion(values: Values) -> MotionFilter:
@@ -96,10 +164,6 @@ def _latency_motion(values: Values) -> MotionFilter:
     return delayed
 
 
-def _moves_in_contact(recording: Recording) -> bool:
-    return touches(recording) and recording.has(Phase.LOAD, Phase.SLIDE, Phase.RELEASE)
-
-
 LATENCY = Effect(
     name="latency",
     title="Latency of the pose",
@@ -108,8 +172,8 @@ LATENCY = Effect(
     channels=(SKIN, FORCE),
     protocol="there and back at two speeds, the faster 20 mm/s or more; at one speed and in one "
     "direction a latency can hardly be distinguished from an offset of the pose",
-    excited_by=_moves_in_contact,
-    taken_for=("backlash", "viscoelastic_relaxation", "pose_offset"),
+    excited_by=moves_in_contact,
+    taken_for=("controller_lag", "backlash", "viscoelastic_relaxation", "pose_offset"),
     motion=_latency_motion,
 )
 
@@ -159,6 +223,6 @@ BASE_COMPLIANCE = Effect(
     channels=(SKIN, FORCE),
     protocol="presses with two radii to the same depth, with the force measured",
     excited_by=touches,
-    taken_for=("youngs_modulus", "pose_offset"),
+    taken_for=("youngs_modulus", "pose_offset", "stage_creep", "mount_rotation"),
     motion=by_frame(_pushed_back),
 )

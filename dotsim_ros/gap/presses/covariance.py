@@ -125,7 +125,8 @@ def noise_from_idle(
         return declared
     return ChannelNoise(
         float(np.std(np.concatenate(skin))) if len(skin) >= 2 else declared.skin_m,
-        float(np.std(np.stack(force))) if len(force) >= 6 else declared.force_n,
+        # About each axis's own mean: a bias of the gauge is no noise.
+        float(np.sqrt(np.mean(np.var(force, axis=0)))) if len(force) >= 6 else declared.force_n,
         f"{max(len(skin), len(force))} frames without contact",
     )
 
