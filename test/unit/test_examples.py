@@ -136,6 +136,15 @@ def test_a_slip_detector_learns_from_touches(tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "slip.png")) is not None
 
 
+def test_a_grip_policy_learns_from_touches(tmp_path: Path) -> None:
+    printed = run("grip_policy.py", tmp_path, 20, 1)
+    found = re.findall(r"(\w+): (\d) of 1 held, ([\d.]+) of", printed)
+    ends = {name: (int(held), float(over)) for name, held, over in found}
+    assert [held for held, _ in ends.values()] == [1, 0, 0, 1], printed
+    # It needs no more than the network's share of the friction says, and some error.
+    assert 1.0 < ends["trained"][1] < 2.0
+
+
 def test_a_task_of_ones_own_is_solved_by_touch() -> None:
     printed = run("your_own_task.py")
     rewards = [float(reward) for reward in re.findall(r"reward (-[\d.]+)", printed)]
