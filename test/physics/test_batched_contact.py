@@ -10,7 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from dotsim_ros.gel.batched import contact_newton, kernels  # noqa: E402
+from dotsim_ros.gel.batched import compliance_kernels, contact_newton, kernels  # noqa: E402
 from dotsim_ros.gel.batched.contact import Contact, Markers, solve_contact  # noqa: E402
 from dotsim_ros.gel.distance_field import indenter_field  # noqa: E402
 from dotsim_ros.geometry.indenter import sphere  # noqa: E402
@@ -105,7 +105,10 @@ def test_contact_is_solved_with_blocks_of_any_size(lanes, monkeypatch):
 
 
 @pytest.mark.skipif(not wp.get_cuda_supported_archs(), reason="Warp has no compiler for a GPU")
-@pytest.mark.parametrize(("module", "kernel"), [(contact_newton, "solve"), (kernels, "mix")])
+@pytest.mark.parametrize(
+    ("module", "kernel"),
+    [(contact_newton, "solve"), (kernels, "mix"), (compliance_kernels, "weigh")],
+)
 def test_the_kernels_of_a_batch_build_for_a_gpu(tmp_path, module, kernel):
     [built] = wp.compile_aot_module(module, arch=90, use_ptx=True, module_dir=tmp_path)
     assert f".entry {kernel}_" in built.read_text(encoding="ascii")

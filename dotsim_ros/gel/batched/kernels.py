@@ -422,56 +422,6 @@ def interpolate(
 
 
 @wp.kernel
-def gather_compliance(
-    node: wp.array2d(dtype=wp.int32),
-    place: wp.array2d(dtype=wp.int32),
-    sign: wp.array3d(dtype=wp.float32),
-    block: wp.array3d(dtype=wp.float32),
-    between: wp.array4d(dtype=wp.float32),
-):
-    """Write the compliance between nodes [b, i] and [b, j] from its blocks by parity; place holds
-    each node's orbit and image, sign is [component, parity, image]."""
-    b, i, j = wp.tid()
-    if j > i:
-        return
-    first = node[b, i]
-    second = node[b, j]
-    for row in range(3):
-        for column in range(3):
-            total = wp.float32(0.0)
-            for parity in range(4):
-                total += (
-                    sign[row, parity, place[first, 1]]
-                    * sign[column, parity, place[second, 1]]
-                    * block[parity, 3 * place[first, 0] + row, 3 * place[second, 0] + column]
-                )
-            between[b, i, j, 3 * row + column] = total
-            between[b, j, i, 3 * column + row] = total
-
-
-@wp.kernel
-def gather_refinement(
-    node: wp.array2d(dtype=wp.int32),
-    number: wp.array2d(dtype=wp.int32),
-    indptr: wp.array(dtype=wp.int32),
-    index: wp.array(dtype=wp.int32),
-    block: wp.array(dtype=wp.mat33),
-    between: wp.array4d(dtype=wp.float32),
-):
-    """Write what refinement adds to the compliance between nodes [b, i] of the finer grid, whose
-    numbers the others lack (-1)."""
-    b, i = wp.tid()
-    n = node[b, i]
-    for k in range(indptr[n], indptr[n + 1]):
-        j = number[b, index[k]]
-        if j >= 0:
-            c = block[k]
-            for row in range(3):
-                for column in range(3):
-                    between[b, i, j, 3 * row + column] = c[row, column]
-
-
-@wp.kernel
 def refined_displacement(
     force: wp.array2d(dtype=wp.vec3),
     indptr: wp.array(dtype=wp.int32),

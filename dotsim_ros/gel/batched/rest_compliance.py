@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from scipy import sparse
 
-from dotsim_ros.gel.batched import kernels
+from dotsim_ros.gel.batched import compliance_kernels
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization
 from dotsim_ros.gel.elasticity import ElasticBody
@@ -85,7 +85,7 @@ class RestCompliance:
         self._orbits = torch.as_tensor(orbits, device=device)
         # [component, parity, image]
         signs = PARITIES[None] * MIRRORS.T[:, None]
-        self._signs = torch.as_tensor(signs, dtype=torch.float32, device=device)
+        self._signs = torch.as_tensor(signs, dtype=torch.float32, device=device).contiguous()
         self._blocks = torch.as_tensor(blocks, device=device)
         place = np.empty((grid.node_count, 2), dtype=np.int32)
         place[orbits, 0] = np.arange(len(orbits))[:, None]
@@ -97,13 +97,12 @@ class RestCompliance:
         ]
 
     def between(self, node: torch.Tensor) -> torch.Tensor:
-        """Return the blocks (B, R, R, 9) of G between nodes (B, R)."""
-        count, size = node.shape
-        result = torch.empty(count, size, size, 9, device=node.device)
+        """Return the blocks of G between nodes (B, R), as `compliance_kernels` has them."""
+        result = compliance_kernels.blocks(node)
         wp.launch(
-            kernels.gather_compliance,
-            dim=(count, size, size),
-            inputs=[wp.from_torch(node.to(torch.int32)), *self._between_inputs],
+            compliance_kernels.gather_rest,
+            dim=(*node.shape, node.shape[1]),
+            inputs=[wp.from_torch(node), *self._between_inputs],
             outputs=[wp.from_torch(result)],
             device=str(node.device),
         )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dotsim_ros.gel.batched import kernels
+from dotsim_ros.gel.batched import compliance_kernels, kernels
 from dotsim_ros.gel.batched.contact import vectors
 from dotsim_ros.gel.batched.elastic import sparse_tensor
 from dotsim_ros.gel.batched.rest_compliance import RestCompliance
@@ -20,10 +20,6 @@ from dotsim_ros.io.warp_runtime import wp
 
 ROUNDING = 16
 """Counts of markers and nodes that are not fixed are rounded up to multiples of this."""
-
-
-_COMPONENTS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-_UPPER = [3 * i + j for i, j in _COMPONENTS]
 
 
 def rounded_up(most: int, limit: int) -> int:
@@ -130,23 +126,25 @@ class Skin:
             node_limit: of how many nodes around the markers of a gel, those that carry most; None
                 for all, which are counted.
         """
-        node, _, weight = _around(self._stencils, index, node_limit)
-        result = _between(weight, self._rest.between(node))
+        b, k = index.shape
+        result = torch.empty(b, 3 * k, 3 * k, device=index.device)
+        near = _around(self._stencils, index, node_limit)
+        _weigh(near, self._rest.between(near.node), result, adds=False)
         if self._fine is not None:
-            node, number, weight = _around(self._fine, index, node_limit)
-            blocks = result.new_zeros(*node.shape, node.shape[1], 9)
+            near = _around(self._fine, index, node_limit)
+            blocks = compliance_kernels.blocks(near.node).zero_()
             wp.launch(
-                kernels.gather_refinement,
-                dim=tuple(node.shape),
+                compliance_kernels.gather_refinement,
+                dim=tuple(near.node.shape),
                 inputs=[
-                    wp.from_torch(node.to(torch.int32)),
-                    wp.from_torch(number),
+                    wp.from_torch(near.node),
+                    wp.from_torch(near.number),
                     *self._table,
                     wp.from_torch(blocks),
                 ],
                 device=self._device,
             )
-            result += _between(weight, blocks)
+            _weigh(near, blocks, result, adds=True)
         return result
 
     def _fine_displacement(self, load_n: torch.Tensor) -> torch.Tensor:
@@ -175,11 +173,19 @@ def _times(matrix: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
     return (matrix @ values.reshape(len(values), -1)).view(-1, *values.shape[1:])
 
 
-def _around(
-    stencils: Stencils, index: torch.Tensor, limit: int | None
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return the nodes (B, R) around markers (B, K), the number of each of all nodes (B, N) among
-    them, -1 for others, and the markers' weights on them (B, K, R)."""
+@dataclass(frozen=True)
+class _Near:
+    """The nodes (B, R) around markers (B, K), the number of each of all nodes (B, N) among them, -1
+    for others, and the markers' weights (B, K, 27) on those of a number (B, K, 27)."""
+
+    node: torch.Tensor
+    number: torch.Tensor
+    weight: torch.Tensor
+    column: torch.Tensor
+
+
+def _around(stencils: Stencils, index: torch.Tensor, limit: int | None) -> _Near:
+    """Return the nodes around markers (B, K), those that carry most, of a number or all."""
     b, k = index.shape
     flat = stencils.node[index].view(b, -1)
     weight = stencils.weight[index]
@@ -191,23 +197,29 @@ def _around(
     number = torch.full((b, stencils.node_count), -1, dtype=torch.int32, device=index.device)
     every = torch.arange(count, dtype=torch.int32, device=index.device)
     number.scatter_(1, node, every.expand(b, -1))
-    column = torch.gather(number, 1, flat).to(torch.int64).view(b, k, 27)
+    column = torch.gather(number, 1, flat).view(b, k, 27)
     weight = torch.where(column < 0, 0.0, weight)
-    dense = torch.zeros(b, k, count, device=index.device)
-    return node, number, dense.scatter_add_(2, column.clamp(min=0), weight)
+    return _Near(node.to(torch.int32), number, weight, column.clamp(min=0))
 
 
-def _between(weight: torch.Tensor, blocks: torch.Tensor) -> torch.Tensor:
-    """Return W C W' (B, 3 K, 3 K) of weights (B, K, R) and the blocks (B, R, R, 9) of C, which is
-    symmetric."""
-    b, k, r = weight.shape
-    # An index from the host would wait for the device.
-    upper = torch.stack([blocks[..., number] for number in _UPPER]).view(6 * b, r, r)
-    every = weight.expand(6, b, k, r).reshape(6 * b, k, r)
-    whole = torch.bmm(torch.bmm(every, upper), every.transpose(1, 2)).view(6, b, k, k)
-    result = weight.new_empty(b, k, 3, k, 3)
-    for part, (i, j) in zip(whole, _COMPONENTS, strict=True):
-        result[:, :, i, :, j] = part
-        if i != j:
-            result[:, :, j, :, i] = part.transpose(1, 2)
-    return result.view(b, 3 * k, 3 * k)
+def _weigh(near: _Near, blocks: torch.Tensor, result: torch.Tensor, *, adds: bool) -> None:
+    """Write or add to (B, 3 K, 3 K) the compliance that markers have by that between nodes."""
+    count, k, _ = near.weight.shape
+    of_one = 1 if result.device.type == "cpu" else count
+    row = blocks.new_empty(of_one, k, *blocks.shape[2:])
+    line = row.new_empty(of_one, k, compliance_kernels.WIDTH)
+    wp.launch_tiled(
+        compliance_kernels.weigh,
+        dim=[count],
+        inputs=[
+            wp.from_torch(near.column),
+            wp.from_torch(near.weight),
+            wp.from_torch(blocks),
+            int(adds),
+            wp.from_torch(row),
+            wp.from_torch(line),
+            wp.from_torch(result),
+        ],
+        block_dim=kernels.BLOCK,
+        device=str(result.device),
+    )

@@ -1,0 +1,222 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The compliance between markers, W C W': from its blocks between the nodes that they move with.
+
+Of the nine components of a block, row by row, `WIDTH` are kept, which a CPU adds at once: zz takes
+the place of zy, which is yz of the nodes in the other order. Each row of W has 27 weights.
+"""
+
+# Warp reads kernels by its own rules, which are none of a type checker's.
+# mypy: ignore-errors
+
+import torch
+
+from dotsim_ros.gel.batched.kernels import meet
+from dotsim_ros.io.warp_runtime import wp
+
+wp.set_module_options({"enable_backward": False})
+
+WIDTH = 8
+"""Of a block between nodes."""
+_TOGETHER = 4
+
+
+def blocks(node: torch.Tensor) -> torch.Tensor:
+    """Return memory for the blocks (B, R, R or a few more, WIDTH) between nodes (B, R)."""
+    count, size = node.shape
+    # A CPU weighs some at once. Rows of an odd number of those do not share a part of its cache.
+    length = (-(-size // _TOGETHER) | 1) * _TOGETHER
+    return torch.empty(count, size, length, WIDTH, device=node.device)
+
+
+@wp.func_native("""
+    const int n = block.shape[1];
+    const int* __restrict__ first = place.data + 2 * node.data[(long long)b * node.shape[1] + i];
+    const int* __restrict__ second = place.data + 2 * node.data[(long long)b * node.shape[1] + j];
+    const float* __restrict__ signs = sign.data;
+    float total[9] = {};
+    for (int p = 0; p < 4; ++p) {
+        const float* __restrict__ from =
+            block.data + ((long long)p * n + 3 * first[0]) * n + 3 * second[0];
+        for (int r = 0; r < 3; ++r)
+            for (int s = 0; s < 3; ++s)
+                total[3 * r + s] += signs[16 * r + 4 * p + first[1]]
+                    * signs[16 * s + 4 * p + second[1]] * from[(long long)r * n + s];
+    }
+    const long long padded = between.shape[2], row = (long long)b * between.shape[1];
+    float* there = between.data + 8 * ((row + i) * padded + j);
+    float* back = between.data + 8 * ((row + j) * padded + i);
+    for (int c = 0; c < 7; ++c) {
+        there[c] = total[c];
+        back[c] = total[3 * (c % 3) + c / 3];
+    }
+    there[7] = back[7] = total[8];
+""")
+def write_rest(
+    b: int,
+    i: int,
+    j: int,
+    node: wp.array2d(dtype=wp.int32),
+    place: wp.array2d(dtype=wp.int32),
+    sign: wp.array3d(dtype=wp.float32),
+    block: wp.array3d(dtype=wp.float32),
+    between: wp.array4d(dtype=wp.float32),
+):
+    """Write the compliance between two nodes, and between them in the other order."""
+    ...
+
+
+@wp.kernel
+def gather_rest(
+    node: wp.array2d(dtype=wp.int32),
+    place: wp.array2d(dtype=wp.int32),
+    sign: wp.array3d(dtype=wp.float32),
+    block: wp.array3d(dtype=wp.float32),
+    between: wp.array4d(dtype=wp.float32),
+):
+    """Write the compliance between nodes [b, i] and [b, j] from its blocks by parity; place holds
+    each node's orbit and image, sign is [component, parity, image]."""
+    b, i, j = wp.tid()
+    if j <= i:
+        write_rest(b, i, j, node, place, sign, block, between)
+
+
+@wp.func_native("""
+    const int* __restrict__ numbers = number.data + (long long)b * number.shape[1];
+    float* row = between.data + 8LL * ((long long)b * between.shape[1] + i) * between.shape[2];
+    for (int k = begin; k < end; ++k) {
+        const int j = numbers[index.data[k]];
+        if (j < 0) continue;
+        const float* __restrict__ from = &block.data[k].data[0][0];
+        for (int c = 0; c < 7; ++c) row[8 * j + c] = from[c];
+        row[8 * j + 7] = from[8];
+    }
+""")
+def write_refinement(
+    b: int,
+    i: int,
+    begin: int,
+    end: int,
+    number: wp.array2d(dtype=wp.int32),
+    index: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33),
+    between: wp.array4d(dtype=wp.float32),
+):
+    """Write some blocks of a node's row to where the other nodes have numbers."""
+    ...
+
+
+@wp.kernel
+def gather_refinement(
+    node: wp.array2d(dtype=wp.int32),
+    number: wp.array2d(dtype=wp.int32),
+    indptr: wp.array(dtype=wp.int32),
+    index: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33),
+    between: wp.array4d(dtype=wp.float32),
+):
+    """Write what refinement adds to the compliance between nodes [b, i] of the finer grid, whose
+    numbers the others lack (-1)."""
+    b, i = wp.tid()
+    n = node[b, i]
+    write_refinement(b, i, indptr[n], indptr[n + 1], number, index, block, between)
+
+
+@wp.func_native("""
+    #if defined(__clang__)
+    #pragma clang fp contract(fast)
+    #endif
+    constexpr int lanes = WP_TILE_BLOCK_DIM;
+    constexpr int numbers = lanes > 1 ? 1 : 32;
+    const int count = column.shape[1], width = 8 * between.shape[2];
+    const float* __restrict__ from = between.data + (long long)b * between.shape[1] * width;
+    const int* __restrict__ columns = column.data + 27LL * b * count;
+    const float* __restrict__ w = weight.data + 27LL * b * count;
+    float* __restrict__ to = row.data + (long long)(b % row.shape[0]) * count * width;
+    for (int first = lane * numbers; first < width; first += lanes * numbers)
+        for (int m = 0; m < count; ++m) {
+            float sum[numbers] = {};
+            for (int a = 27 * m; a < 27 * m + 27; ++a) {
+                const float* __restrict__ part = from + (long long)columns[a] * width + first;
+                for (int c = 0; c < numbers; ++c) sum[c] += w[a] * part[c];
+            }
+            for (int c = 0; c < numbers; ++c) to[(long long)m * width + first + c] = sum[c];
+        }
+""")
+def weigh_rows(
+    b: int,
+    lane: int,
+    column: wp.array3d(dtype=wp.int32),
+    weight: wp.array3d(dtype=wp.float32),
+    between: wp.array4d(dtype=wp.float32),
+    row: wp.array4d(dtype=wp.float32),
+):
+    """Write W C, a lane's part."""
+    ...
+
+
+@wp.func_native("""
+    #if defined(__clang__)
+    #pragma clang fp contract(fast)
+    #endif
+    const int count = column.shape[1], width = 8 * row.shape[2];
+    const long long size = 3 * count;
+    const int* __restrict__ columns = column.data + 27LL * b * count;
+    const float* __restrict__ w = weight.data + 27LL * b * count;
+    const float* __restrict__ rows = row.data + (long long)(b % row.shape[0]) * count * width;
+    float* __restrict__ to = result.data + b * size * size;
+    float* __restrict__ line = line_memory.data + 8LL * (b % row.shape[0]) * count;
+    for (int m = 0; m < count; ++m) {
+        for (int l = lane; l < count; l += WP_TILE_BLOCK_DIM) {
+            float sum[8] = {};
+            for (int a = 27 * l; a < 27 * l + 27; ++a) {
+                const float* __restrict__ part = rows + (long long)m * width + 8 * columns[a];
+                for (int c = 0; c < 8; ++c) sum[c] += w[a] * part[c];
+            }
+            for (int c = 0; c < 8; ++c) line[8 * l + c] = sum[c];
+        }
+        for (int l = lane; l < count; l += WP_TILE_BLOCK_DIM) {
+            const float* block = line + 8 * l;
+            float* there = to + 3 * m * size + 3 * l;
+            float* back = to + (3 * l + 2) * size + 3 * m + 1;
+            for (int c = 0; c < 7; ++c) {
+                float* one = there + c / 3 * size + c % 3;
+                *one = adds ? *one + block[c] : block[c];
+            }
+            there[2 * size + 2] = adds ? there[2 * size + 2] + block[7] : block[7];
+            *back = adds ? *back + block[5] : block[5];
+        }
+    }
+""")
+def weigh_columns(
+    b: int,
+    lane: int,
+    column: wp.array3d(dtype=wp.int32),
+    weight: wp.array3d(dtype=wp.float32),
+    row: wp.array4d(dtype=wp.float32),
+    line_memory: wp.array3d(dtype=wp.float32),
+    adds: int,
+    result: wp.array3d(dtype=wp.float32),
+):
+    """Write or add W C W' of W C, a lane's part."""
+    ...
+
+
+@wp.kernel
+def weigh(
+    column: wp.array3d(dtype=wp.int32),
+    weight: wp.array3d(dtype=wp.float32),
+    between: wp.array4d(dtype=wp.float32),
+    adds: int,
+    row: wp.array4d(dtype=wp.float32),
+    line: wp.array3d(dtype=wp.float32),
+    result: wp.array3d(dtype=wp.float32),
+):
+    """Write, or add, W C W' [b, 3 m + i, 3 l + j] of weights [b, m, a] on the nodes that are number
+    [b, m, a] of those that C [b, node, node, component] is between. row and line are memory, of
+    one gel where a block has one lane: these come one by one."""
+    b, lane = wp.tid()
+    weigh_rows(b, lane, column, weight, between, row)
+    meet()
+    weigh_columns(b, lane, column, weight, row, line, adds, result)
