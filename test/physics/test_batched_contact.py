@@ -107,7 +107,12 @@ def test_contact_is_solved_with_blocks_of_any_size(lanes, monkeypatch):
 @pytest.mark.skipif(not wp.get_cuda_supported_archs(), reason="Warp has no compiler for a GPU")
 @pytest.mark.parametrize(
     ("module", "kernel"),
-    [(contact_newton, "solve"), (kernels, "mix"), (compliance_kernels, "weigh")],
+    [
+        (contact_newton, "solve"),
+        (kernels, "mix"),
+        (kernels, "add_elastic_forces"),
+        (compliance_kernels, "weigh"),
+    ],
 )
 def test_the_kernels_of_a_batch_build_for_a_gpu(tmp_path, module, kernel):
     [built] = wp.compile_aot_module(module, arch=90, use_ptx=True, module_dir=tmp_path)

@@ -12,7 +12,7 @@ the place of zy, which is yz of the nodes in the other order. Each row of W has 
 
 import torch
 
-from dotsim_ros.gel.batched.kernels import meet
+from dotsim_ros.gel.batched.kernels import ROUNDS_ONCE, meet
 from dotsim_ros.io.warp_runtime import wp
 
 wp.set_module_options({"enable_backward": False})
@@ -123,10 +123,9 @@ def gather_refinement(
     write_refinement(b, i, indptr[n], indptr[n + 1], number, index, block, between)
 
 
-@wp.func_native("""
-    #if defined(__clang__)
-    #pragma clang fp contract(fast)
-    #endif
+@wp.func_native(
+    ROUNDS_ONCE
+    + """
     constexpr int lanes = WP_TILE_BLOCK_DIM;
     constexpr int numbers = lanes > 1 ? 1 : 32;
     const int count = column.shape[1], width = 8 * between.shape[2];
@@ -143,7 +142,8 @@ def gather_refinement(
             }
             for (int c = 0; c < numbers; ++c) to[(long long)m * width + first + c] = sum[c];
         }
-""")
+"""
+)
 def weigh_rows(
     b: int,
     lane: int,
@@ -156,10 +156,9 @@ def weigh_rows(
     ...
 
 
-@wp.func_native("""
-    #if defined(__clang__)
-    #pragma clang fp contract(fast)
-    #endif
+@wp.func_native(
+    ROUNDS_ONCE
+    + """
     const int count = column.shape[1], width = 8 * row.shape[2];
     const long long size = 3 * count;
     const int* __restrict__ columns = column.data + 27LL * b * count;
@@ -188,7 +187,8 @@ def weigh_rows(
             *back = adds ? *back + block[5] : block[5];
         }
     }
-""")
+"""
+)
 def weigh_columns(
     b: int,
     lane: int,

@@ -11,6 +11,7 @@ sum over numbers goes over those of each lane first, every lane then has the who
 # mypy: ignore-errors
 
 from dotsim_ros.gel.batched.kernels import (
+    ROUNDS_ONCE,
     ContactLaw,
     IndenterField,
     add,
@@ -92,7 +93,9 @@ class Memory:
 
 # It is symmetric: adjacent lanes read adjacent numbers of a row. Eight rows at once leave the sums
 # in registers. The compiler makes vectors of the inner loop where a block has one lane.
-@wp.func_native("""
+@wp.func_native(
+    ROUNDS_ONCE
+    + """
     constexpr int lanes = WP_TILE_BLOCK_DIM;
     const int size = compliance.shape[2];
     const float* __restrict__ c = compliance.data + (long long)b * compliance.shape[1] * size;
@@ -118,7 +121,8 @@ class Memory:
         for (int j = lane; j < columns; j += lanes) x[j] += fi * row[j];
     }
     WP_TILE_SYNC();
-""")
+"""
+)
 def multiply(
     b: int,
     lane: int,

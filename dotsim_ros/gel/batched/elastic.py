@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Elastic forces of many gels: cell by cell, the shared weights by one product for all gels."""
+"""Elastic forces of many gels, cell by cell."""
 
 from __future__ import annotations
 
@@ -46,9 +46,10 @@ class ElasticForces:
         d = discretization
         cells = group_by_cell(d)
         volume = np.where(cells.particle >= 0, d.particle_volume_m3[cells.particle], 0.0)
-        self._cell_node = torch.as_tensor(cells.node.astype(np.int64), device=device).reshape(-1)
-        self._gradient = torch.as_tensor(cells.gradient, dtype=torch.float32, device=device)
-        self._divergence = self._gradient.transpose(1, 2).contiguous()
+        self._cell_node = torch.as_tensor(cells.node.astype(np.int32), device=device)
+        self._gradient = torch.as_tensor(
+            np.ascontiguousarray(cells.gradient), dtype=torch.float32, device=device
+        )
         self._volume: Any = wp.array(volume.ravel(), dtype=wp.float32, device=device)
         self._law = kernels.coefficients(*law.coefficients_pa())
         self.node_count, self.device = d.node_count, device
@@ -61,37 +62,37 @@ class ElasticForces:
         """Return the derivative of the elastic energy (N, 3, b) of some gels (b,) by their
         displacements (N, 3, b)."""
         n, _, b = displacement_m.shape
-        cells = len(self._gradient)
-        flat = displacement_m.reshape(n, 3 * b)
-        gradient = self._at_particles(flat)
-        stress = torch.empty_like(gradient)
-        width = b if self.device == "cpu" else 1
+        given = displacement_m.contiguous()
+        force = (self._linear @ given.view(n, 3 * b)).view(n, 3, b)
+        if self._lost_bond is not None:
+            force += (self._lost_bond @ given.view(3 * n, b)).view(n, 3, b)
+        width = kernels.GELS if self.device == "cpu" else 1
         wp.launch(
-            kernels.first_piola_kirchhoff,
-            dim=(8 * cells, b // width),
+            kernels.add_elastic_forces,
+            dim=(len(self._gradient), -(-b // width)),
             inputs=[
-                wp.from_torch(gradient.view(-1, 3, b)),
+                wp.from_torch(given),
+                wp.from_torch(self._cell_node),
+                wp.from_torch(self._gradient),
                 self._volume,
                 self._law,
                 wp.from_torch(gels.to(torch.int32)),
                 wp.from_torch(self.fast_share[gels]),
                 wp.from_torch(self.history_pa),
                 width,
-                wp.from_torch(stress.view(-1, 3, b)),
+                wp.from_torch(force),
             ],
             device=self._volume.device,
         )
-        force = self._linear @ flat
-        if self._lost_bond is not None:
-            force += (self._lost_bond @ displacement_m.reshape(3 * n, b)).view(n, 3 * b)
-        force.index_add_(0, self._cell_node, torch.bmm(self._divergence, stress).view(-1, 3 * b))
-        return force.view(n, 3, b)
+        return force
 
     def shape_stress(self, displacement_m: torch.Tensor) -> torch.Tensor:
         """Return the second Piola-Kirchhoff stress (3 P, 3, B), Pa, of the part of the energy that
         relaxes, at displacements (N, 3, B)."""
         n, _, b = displacement_m.shape
-        gradient = self._at_particles(displacement_m.reshape(n, 3 * b)).view(-1, 3, b)
+        cells = len(self._gradient)
+        nodal = displacement_m.reshape(n, 3 * b)[self._cell_node.view(-1)].view(cells, 27, -1)
+        gradient = torch.bmm(self._gradient, nodal).view(-1, 3, b)
         stress = torch.empty_like(gradient)
         wp.launch(
             kernels.second_piola_kirchhoff,
@@ -100,11 +101,6 @@ class ElasticForces:
             device=self._volume.device,
         )
         return stress
-
-    def _at_particles(self, flat_m: torch.Tensor) -> torch.Tensor:
-        """Return the gradients (C, 24, 3 B) of displacements (N, 3 B) at the particles of cells."""
-        cells = len(self._gradient)
-        return torch.bmm(self._gradient, flat_m[self._cell_node].view(cells, 27, -1))
 
 
 def sparse_tensor(matrix: Any, device: str) -> torch.Tensor:

@@ -16,6 +16,9 @@ wp.set_module_options({"enable_backward": False})
 BLOCK = 128
 """Threads of a block on a GPU, here lanes, which share the sums of a gel; on a CPU it has one."""
 
+GELS = 8
+"""A CPU finds the elastic forces of so many gels at once."""
+
 _distance = distance_functions(wp.float32)
 _elastic = elastic_kernels(wp.float32)
 _contact = contact_kernels(wp.float32)
@@ -26,6 +29,14 @@ coefficients = _elastic.vec5
 shape_stress = _elastic.shape_stress
 pressure = _contact.pressure
 pressure_slope = _contact.pressure_slope
+
+
+ROUNDS_ONCE = """
+    #if defined(__clang__)
+    #pragma clang fp contract(fast)
+    #endif
+"""
+"""Lets a CPU's compiler, as that of a GPU does, round a product and a sum with it only once."""
 
 
 @wp.func_native("WP_TILE_SYNC();")
@@ -49,7 +60,7 @@ def lanes_max(part: wp.float32):
 # On a CPU the compiler may only make vectors of a sum whose order it may choose.
 @wp.func_native("""
     #if defined(__clang__)
-    #pragma clang fp reassociate(on)
+    #pragma clang fp reassociate(on) contract(fast)
     #endif
     const float* x = a.data;
     const float* y = b.data;
@@ -70,11 +81,14 @@ def product(lane: int, count: int, a: wp.array(dtype=wp.float32), b: wp.array(dt
     return lanes_sum(lane_product(lane, count, a, b))
 
 
-@wp.func_native("""
+@wp.func_native(
+    ROUNDS_ONCE
+    + """
     const float* __restrict__ x = a.data;
     float* __restrict__ y = b.data;
     for (int i = lane; i < count; i += WP_TILE_BLOCK_DIM) y[i] += factor * x[i];
-""")
+"""
+)
 def add(
     lane: int,
     count: int,
@@ -98,96 +112,166 @@ def deformation_gradient(gradient: wp.array3d(dtype=wp.float32), p: int, b: int)
 
 # The columns of F are x, y and z, those of its cofactors u, v and w. Adjacent gels are adjacent
 # numbers: a CPU's compiler makes vectors of them, which it makes of no call of `pow`.
-@wp.func_native("""
-    const int count = gradient.shape[2];
-    const float* __restrict__ g = gradient.data + 9LL * count * p;
-    float* __restrict__ result = stress.data + 9LL * count * p;
-    const float* __restrict__ share = fast.data;
+@wp.func_native(
+    ROUNDS_ONCE
+    + """
+    #if defined(__CUDA_ARCH__)
+    constexpr int gels = 1;
+    #else
+    constexpr int gels = HOST_NUMBER;
+    #endif
+    constexpr int row = 3 * gels;
+    const int count = displacement.shape[2], some = wp::min(gels, count - first);
+    const int* __restrict__ nodes = node.data + 27LL * cell;
+    const float* __restrict__ weights = weight.data + 24LL * 27 * cell;
     const float c10 = law[0], c01 = law[1], c20 = law[2], c30 = law[3], bulk = law[4];
-    for (int b = first; b < end; ++b) {
-        const float x0 = 1.0f + g[b], x1 = g[count + b], x2 = g[2 * count + b];
-        const float y0 = g[3 * count + b], y1 = 1.0f + g[4 * count + b], y2 = g[5 * count + b];
-        const float z0 = g[6 * count + b], z1 = g[7 * count + b], z2 = 1.0f + g[8 * count + b];
-        const float u0 = y1 * z2 - y2 * z1, u1 = y2 * z0 - y0 * z2, u2 = y0 * z1 - y1 * z0;
-        const float v0 = z1 * x2 - z2 * x1, v1 = z2 * x0 - z0 * x2, v2 = z0 * x1 - z1 * x0;
-        const float w0 = x1 * y2 - x2 * y1, w1 = x2 * y0 - x0 * y2, w2 = x0 * y1 - x1 * y0;
-        const float j = x0 * u0 + x1 * u1 + x2 * u2;
-        const float xx = x0 * x0 + x1 * x1 + x2 * x2, xy = x0 * y0 + x1 * y1 + x2 * y2;
-        const float yy = y0 * y0 + y1 * y1 + y2 * y2, yz = y0 * z0 + y1 * z1 + y2 * z2;
-        const float zz = z0 * z0 + z1 * z1 + z2 * z2, zx = z0 * x0 + z1 * x1 + z2 * x2;
-        const float i1 = xx + yy + zz;
-        const float i2 = (xx * yy - xy * xy) + (yy * zz - yz * yz) + (zz * xx - zx * zx);
-        // The inverse cube root of J by Newton's method, from a third of its exponent.
-        union { float number; int bits; } root;
-        root.number = j;
-        root.bits = 0x54a2fa8e - root.bits / 3;
-        float r = root.number;
-        for (int k = 0; k < 3; ++k) r *= (4.0f - j * r * r * r) * (1.0f / 3.0f);
-        const float a = j > 0.0f ? r * r : NAN;
-        const float e1 = a * i1 - 3.0f;
-        const float s1 = a * (c10 + e1 * (2.0f * c20 + 3.0f * c30 * e1)), s2 = a * a * c01;
-        const float f = v * share[b];
-        const float alpha = f * 2.0f * (s1 + s2 * i1), gamma = f * 2.0f * s2;
-        const float beta = v * bulk * (j - 1.0f)
-            - f * (2.0f / 3.0f) * (s1 * i1 + 2.0f * s2 * i2) / j;
-        const float ax = alpha - gamma * xx, ay = alpha - gamma * yy, az = alpha - gamma * zz;
-        const float bxy = gamma * xy, byz = gamma * yz, bzx = gamma * zx;
-        result[b] = ax * x0 - bxy * y0 - bzx * z0 + beta * u0;
-        result[count + b] = ax * x1 - bxy * y1 - bzx * z1 + beta * u1;
-        result[2 * count + b] = ax * x2 - bxy * y2 - bzx * z2 + beta * u2;
-        result[3 * count + b] = ay * y0 - bxy * x0 - byz * z0 + beta * v0;
-        result[4 * count + b] = ay * y1 - bxy * x1 - byz * z1 + beta * v1;
-        result[5 * count + b] = ay * y2 - bxy * x2 - byz * z2 + beta * v2;
-        result[6 * count + b] = az * z0 - byz * y0 - bzx * x0 + beta * w0;
-        result[7 * count + b] = az * z1 - byz * y1 - bzx * x1 + beta * w1;
-        result[8 * count + b] = az * z2 - byz * y2 - bzx * x2 + beta * w2;
+    float moved[27 * row] = {}, stress[24 * row] = {}, fast[gels] = {};
+    const auto read = [&](int number) {
+        for (int k = 0; k < 81; ++k) {
+            const float* from = displacement.data + (3LL * nodes[k / 3] + k % 3) * count + first;
+            for (int b = 0; b < number; ++b) moved[gels * k + b] = from[b];
+        }
+    };
+    // A number that the compiler knows makes them vectors.
+    if (some == gels) read(gels); else read(some);
+    for (int b = 0; b < some; ++b) fast[b] = fast_share.data[first + b];
+    for (int q = 0; q < 8; ++q) {
+        const float v = volume.data[8 * cell + q];
+        if (v == 0.0f) continue;
+        const float* __restrict__ along = weights + 81 * q;
+        float* __restrict__ result = stress + 3 * row * q;
+        float x[row] = {}, y[row] = {}, z[row] = {};
+        for (int a = 0; a < 27; ++a) {
+            const float* __restrict__ here = moved + row * a;
+            for (int k = 0; k < row; ++k) x[k] += along[a] * here[k];
+            for (int k = 0; k < row; ++k) y[k] += along[27 + a] * here[k];
+            for (int k = 0; k < row; ++k) z[k] += along[54 + a] * here[k];
+        }
+        float g[3 * row];
+        for (int k = 0; k < row; ++k) g[k] = x[k];
+        for (int k = 0; k < row; ++k) g[row + k] = y[k];
+        for (int k = 0; k < row; ++k) g[2 * row + k] = z[k];
+        for (int b = 0; b < gels; ++b) {
+            const float x0 = 1.0f + g[b], x1 = g[gels + b], x2 = g[2 * gels + b];
+            const float y0 = g[3 * gels + b], y1 = 1.0f + g[4 * gels + b], y2 = g[5 * gels + b];
+            const float z0 = g[6 * gels + b], z1 = g[7 * gels + b], z2 = 1.0f + g[8 * gels + b];
+            const float u0 = y1 * z2 - y2 * z1, u1 = y2 * z0 - y0 * z2, u2 = y0 * z1 - y1 * z0;
+            const float v0 = z1 * x2 - z2 * x1, v1 = z2 * x0 - z0 * x2, v2 = z0 * x1 - z1 * x0;
+            const float w0 = x1 * y2 - x2 * y1, w1 = x2 * y0 - x0 * y2, w2 = x0 * y1 - x1 * y0;
+            const float j = x0 * u0 + x1 * u1 + x2 * u2;
+            const float xx = x0 * x0 + x1 * x1 + x2 * x2, xy = x0 * y0 + x1 * y1 + x2 * y2;
+            const float yy = y0 * y0 + y1 * y1 + y2 * y2, yz = y0 * z0 + y1 * z1 + y2 * z2;
+            const float zz = z0 * z0 + z1 * z1 + z2 * z2, zx = z0 * x0 + z1 * x1 + z2 * x2;
+            const float i1 = xx + yy + zz;
+            const float i2 = (xx * yy - xy * xy) + (yy * zz - yz * yz) + (zz * xx - zx * zx);
+            // The inverse cube root of J by Newton's method, from a third of its exponent.
+            union { float number; int bits; } root;
+            root.number = j;
+            root.bits = 0x54a2fa8e - root.bits / 3;
+            float r = root.number;
+            for (int k = 0; k < 3; ++k) r *= (4.0f - j * r * r * r) * (1.0f / 3.0f);
+            const float a = j > 0.0f ? r * r : NAN;
+            const float e1 = a * i1 - 3.0f;
+            const float s1 = a * (c10 + e1 * (2.0f * c20 + 3.0f * c30 * e1)), s2 = a * a * c01;
+            const float f = v * fast[b];
+            const float alpha = f * 2.0f * (s1 + s2 * i1), gamma = f * 2.0f * s2;
+            const float beta = v * bulk * (j - 1.0f)
+                - f * (2.0f / 3.0f) * (s1 * i1 + 2.0f * s2 * i2) / j;
+            const float ax = alpha - gamma * xx, ay = alpha - gamma * yy, az = alpha - gamma * zz;
+            const float bxy = gamma * xy, byz = gamma * yz, bzx = gamma * zx;
+            result[b] = ax * x0 - bxy * y0 - bzx * z0 + beta * u0;
+            result[gels + b] = ax * x1 - bxy * y1 - bzx * z1 + beta * u1;
+            result[2 * gels + b] = ax * x2 - bxy * y2 - bzx * z2 + beta * u2;
+            result[3 * gels + b] = ay * y0 - bxy * x0 - byz * z0 + beta * v0;
+            result[4 * gels + b] = ay * y1 - bxy * x1 - byz * z1 + beta * v1;
+            result[5 * gels + b] = ay * y2 - bxy * x2 - byz * z2 + beta * v2;
+            result[6 * gels + b] = az * z0 - byz * y0 - bzx * x0 + beta * w0;
+            result[7 * gels + b] = az * z1 - byz * y1 - bzx * x1 + beta * w1;
+            result[8 * gels + b] = az * z2 - byz * y2 - bzx * x2 + beta * w2;
+        }
+        // F times what is remembered, of the second Piola-Kirchhoff stress.
+        for (int j = 0; history.shape[0] && j < 3; ++j)
+            for (int k = 0; k < 3; ++k) {
+                const float* remembered = history.data
+                    + ((8LL * cell + q) * 9 + 3 * j + k) * history.shape[2];
+                for (int i = 0; i < 3; ++i)
+                    for (int b = 0; b < some; ++b)
+                        result[row * j + gels * i + b] += v * remembered[gel.data[first + b]]
+                            * (g[row * k + gels * i + b] + (i == k ? 1.0f : 0.0f));
+            }
     }
-""")
-def write_stress(
-    p: int,
+    for (int a = 0; a < 27; a += 3) {
+        float x[row] = {}, y[row] = {}, z[row] = {};
+        for (int r = 0; r < 24; ++r) {
+            const float* __restrict__ here = stress + row * r;
+            const float* __restrict__ along = weights + 27 * r + a;
+            for (int k = 0; k < row; ++k) x[k] += along[0] * here[k];
+            for (int k = 0; k < row; ++k) y[k] += along[1] * here[k];
+            for (int k = 0; k < row; ++k) z[k] += along[2] * here[k];
+        }
+        for (int k = 0; k < row; ++k) moved[row * a + k] = x[k];
+        for (int k = 0; k < row; ++k) moved[row * a + row + k] = y[k];
+        for (int k = 0; k < row; ++k) moved[row * a + 2 * row + k] = z[k];
+    }
+    const auto write = [&](int number) {
+        for (int k = 0; k < 81; ++k) {
+            float* to = force.data + (3LL * nodes[k / 3] + k % 3) * count + first;
+            for (int b = 0; b < number; ++b) wp::atomic_add(to + b, moved[gels * k + b]);
+        }
+    };
+    if (some == gels) write(gels); else write(some);
+""".replace("HOST_NUMBER", str(GELS))
+)
+def add_cell_force(
+    cell: int,
     first: int,
-    end: int,
-    gradient: wp.array3d(dtype=wp.float32),
-    v: wp.float32,
+    displacement: wp.array3d(dtype=wp.float32),
+    node: wp.array2d(dtype=wp.int32),
+    weight: wp.array3d(dtype=wp.float32),
+    volume: wp.array(dtype=wp.float32),
     law: coefficients,
-    fast: wp.array(dtype=wp.float32),
-    stress: wp.array3d(dtype=wp.float32),
+    gel: wp.array(dtype=wp.int32),
+    fast_share: wp.array(dtype=wp.float32),
+    history: wp.array3d(dtype=wp.float32),
+    force: wp.array3d(dtype=wp.float32),
 ):
-    """Write V (fast * shape_stress + volume_stress) of a particle of gels; it is NaN where the
-    particle is turned inside out."""
+    """Add the forces of a cell of some gels from the first on."""
     ...
 
 
 @wp.kernel
-def first_piola_kirchhoff(
-    gradient: wp.array3d(dtype=wp.float32),
+def add_elastic_forces(
+    displacement: wp.array3d(dtype=wp.float32),
+    node: wp.array2d(dtype=wp.int32),
+    weight: wp.array3d(dtype=wp.float32),
     volume: wp.array(dtype=wp.float32),
     law: coefficients,
     gel: wp.array(dtype=wp.int32),
     fast_share: wp.array(dtype=wp.float32),
     history: wp.array3d(dtype=wp.float32),
     width: int,
-    stress: wp.array3d(dtype=wp.float32),
+    force: wp.array3d(dtype=wp.float32),
 ):
-    """Write V P of each particle for `width` gels at a time; gradient[3 p + j, i, b] is du_i/dX_j,
-    stress likewise. fast_share [b] is what relaxation leaves of each gel's fast stress, history the
-    stress that it remembers, by the numbers gel[b] of all gels, empty where nothing relaxes."""
-    p, part = wp.tid()
-    first = part * width
-    end = wp.min(first + width, gradient.shape[2])
-    v = volume[p]
-    write_stress(p, first, end, gradient, v, law, fast_share, stress)
-    if history.shape[0] == 0:
-        return
-    for b in range(first, end):
-        remembered = wp.mat33()
-        for i in range(3):
-            for j in range(3):
-                remembered[i, j] = history[3 * p + j, i, gel[b]]
-        result = deformation_gradient(gradient, p, b) * remembered
-        for i in range(3):
-            for j in range(3):
-                stress[3 * p + j, i, b] = stress[3 * p + j, i, b] + v * result[i, j]
+    """Add the forces [n, i, b] on nodes of each cell's eight particles for `width` gels at a time,
+    of displacements likewise. node [c, a] are a cell's nodes, weight [c, 3 q + j, a] their weights'
+    derivatives by X_j at particle q, volume [8 c + q]. fast_share [b] is what relaxation leaves of
+    each gel's fast stress, history [3 p + j, k, g] the stress that it remembers, by the numbers
+    gel[b] of all gels, empty where nothing relaxes. Forces are NaN where a particle is turned
+    inside out."""
+    cell, part = wp.tid()
+    add_cell_force(
+        cell,
+        part * width,
+        displacement,
+        node,
+        weight,
+        volume,
+        law,
+        gel,
+        fast_share,
+        history,
+        force,
+    )
 
 
 @wp.kernel
