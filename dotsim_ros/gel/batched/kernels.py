@@ -490,19 +490,39 @@ def mix(
 
 
 @wp.kernel
-def interpolate(
-    node: wp.array3d(dtype=wp.int32),
-    weight: wp.array3d(dtype=wp.float32),
+def add_interpolated(
+    marker: wp.array2d(dtype=wp.int32),
+    node: wp.array2d(dtype=wp.int32),
+    weight: wp.array2d(dtype=wp.float32),
     nodal: wp.array2d(dtype=wp.vec3),
-    base: wp.array2d(dtype=wp.vec3),
     result: wp.array2d(dtype=wp.vec3),
 ):
-    """Write base + sum of weight times the vectors [b, node] at markers [b, m]."""
+    """Add to [b, m] what vectors [b, n] of nodes are at marker [b, m], by the nodes and weights
+    [marker, a] that it moves with."""
     b, m = wp.tid()
-    x = base[b, m]
+    v = marker[b, m]
+    x = result[b, m]
     for a in range(27):
-        x += weight[b, m, a] * nodal[b, node[b, m, a]]
+        x += weight[v, a] * nodal[b, node[v, a]]
     result[b, m] = x
+
+
+@wp.kernel
+def spread(
+    marker: wp.array2d(dtype=wp.int32),
+    node: wp.array2d(dtype=wp.int32),
+    weight: wp.array2d(dtype=wp.float32),
+    force: wp.array2d(dtype=wp.vec3),
+    nodal: wp.array2d(dtype=wp.vec3),
+):
+    """Add forces [b, m] on markers to those [b, n] on nodes; arrays as above."""
+    b, m = wp.tid()
+    f = force[b, m]
+    if wp.length_sq(f) == 0.0:
+        return
+    v = marker[b, m]
+    for a in range(27):
+        wp.atomic_add(nodal, b, node[v, a], weight[v, a] * f)
 
 
 @wp.kernel

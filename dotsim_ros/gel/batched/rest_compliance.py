@@ -115,9 +115,11 @@ class RestCompliance:
 
     def apply(self, force: torch.Tensor) -> torch.Tensor:
         """Return the displacements (N, 3, B) at rest under nodal forces (N, 3, B)."""
-        moved = torch.bmm(self._blocks, self._split(force)).view(4, -1, 3, force.shape[2])
+        # The blocks are symmetric; on a CPU few columns take far longer than few rows.
+        moved = torch.bmm(self._split(force).transpose(1, 2), self._blocks)
         result = torch.empty_like(force)
-        images = torch.einsum("cke,kocb->oecb", self._signs, moved)
+        moved = moved.view(4, force.shape[2], -1, 3)
+        images = torch.einsum("cke,kboc->oecb", self._signs, moved)
         result[self._orbits.reshape(-1)] = images.reshape(-1, 3, force.shape[2])
         return result
 

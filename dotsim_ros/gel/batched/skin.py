@@ -44,7 +44,7 @@ def stencils_of(matrix: Any, device: str) -> Stencils:
     length = np.diff(csr.indptr)
     row = np.repeat(np.arange(len(length)), length)
     column = np.arange(len(row)) - np.repeat(csr.indptr[:-1], length)
-    node = np.zeros((len(length), 27), dtype=np.int64)
+    node = np.zeros((len(length), 27), dtype=np.int32)
     weight = np.zeros((len(length), 27), dtype=np.float32)
     node[row, column], weight[row, column] = csr.indices, csr.data
     return Stencils(
@@ -98,16 +98,15 @@ class Skin:
     def markers_at(self, index: torch.Tensor, displacement_m: torch.Tensor) -> torch.Tensor:
         """Return markers (B, K) of the skin (B, K, 3) at displacements (N, 3, B) of the grid."""
         nodal = displacement_m.permute(2, 0, 1).contiguous()
-        base = self.rest_m[index]
-        result = torch.empty_like(base)
+        result = self.rest_m[index]
         wp.launch(
-            kernels.interpolate,
+            kernels.add_interpolated,
             dim=tuple(index.shape),
             inputs=[
-                wp.from_torch(self._stencils.node[index].to(torch.int32)),
-                wp.from_torch(self._stencils.weight[index]),
+                wp.from_torch(index.to(torch.int32)),
+                wp.from_torch(self._stencils.node),
+                wp.from_torch(self._stencils.weight),
                 vectors(nodal),
-                vectors(base),
                 vectors(result),
             ],
             device=self._device,
@@ -161,11 +160,20 @@ class Skin:
 
 def _spread(stencils: Stencils, index: torch.Tensor, force_n: torch.Tensor) -> torch.Tensor:
     """Return the forces on nodes (B, N, 3) under forces (B, K, 3) on markers (B, K)."""
-    b = len(index)
-    weighted = stencils.weight[index][..., None] * force_n[:, :, None]
-    node = stencils.node[index].view(b, -1, 1).expand(-1, -1, 3)
-    nodal = force_n.new_zeros(b, stencils.node_count, 3)
-    return nodal.scatter_add_(1, node, weighted.view(b, -1, 3))
+    nodal = force_n.new_zeros(len(index), stencils.node_count, 3)
+    wp.launch(
+        kernels.spread,
+        dim=tuple(index.shape),
+        inputs=[
+            wp.from_torch(index.to(torch.int32)),
+            wp.from_torch(stencils.node),
+            wp.from_torch(stencils.weight),
+            vectors(force_n.contiguous()),
+            vectors(nodal),
+        ],
+        device=str(nodal.device),
+    )
+    return nodal
 
 
 def _times(matrix: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
@@ -187,7 +195,7 @@ class _Near:
 def _around(stencils: Stencils, index: torch.Tensor, limit: int | None) -> _Near:
     """Return the nodes around markers (B, K), those that carry most, of a number or all."""
     b, k = index.shape
-    flat = stencils.node[index].view(b, -1)
+    flat = stencils.node[index].view(b, -1).to(torch.int64)
     weight = stencils.weight[index]
     used = torch.zeros(b, stencils.node_count, device=index.device)
     used.scatter_add_(1, flat, weight.abs().view(b, -1))
