@@ -315,11 +315,13 @@ class BatchedGel:
         depth = torch.where(self._is_touching, -self._rest_gap_m, 0.0)
         longest = (2.0 * depth).clamp(TOUCH_SHARE * self._spacing_m, LARGEST_MOVE_M)
         moves = (way * (1.0 - touch) / longest).ceil().clamp(min=1.0)
-        # A gel that nothing touches in the end is at rest, whatever the way, if it does not relax.
-        matters = self._rest_gap(target, turn) < ONSET_M
-        if self._relaxation is not None:
-            matters = matters | self._is_touching
-        moves = torch.where(matters, moves, 1.0)
+        if not self._may_stop or int(moves.max()) > 1:
+            # A gel that nothing touches in the end is at rest, whatever the way, if it does not
+            # relax.
+            matters = self._rest_gap(target, turn) < ONSET_M
+            if self._relaxation is not None:
+                matters = matters | self._is_touching
+            moves = torch.where(matters, moves, 1.0)
         for number in range(1, int(moves.max()) + 1):
             if self._relaxation is not None:
                 self._relaxation.begin(dt_s / moves)
@@ -409,8 +411,21 @@ class BatchedGel:
         self, skin_m: torch.Tensor, origin_m: torch.Tensor, rotation: torch.Tensor
     ) -> torch.Tensor:
         """Return the signed distances (B, V) of the skin (B, V, 3); infinite on the base."""
-        distance, _ = self._distance(skin_m, origin_m, rotation)
-        return torch.where(self._on_base, torch.inf, distance)
+        distance = torch.empty(skin_m.shape[:2], device=self.device)
+        wp.launch(
+            kernels.skin_distance,
+            dim=tuple(distance.shape),
+            inputs=[
+                vectors(skin_m),
+                wp.from_torch(self._on_base),
+                self.field,
+                matrices(rotation.contiguous()),
+                vectors(origin_m.contiguous()),
+                wp.from_torch(distance),
+            ],
+            device=self.device,
+        )
+        return distance
 
     def _rest_gap(self, origin_m: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
         """Return the distances (B,) of indenters at poses (B, 3), (B, 3, 3) from a gel at rest."""
@@ -563,11 +578,13 @@ class BatchedGel:
             u = u + torch.where(is_done, 0.0, short * step)
             # Mixing may take a short step where the iteration is not at its end.
             largest = torch.maximum(largest, plain.abs().amax(dim=(0, 1)))
-            result[:, :, gels], left[gels] = u, largest
-            for name in Contact.__dataclass_fields__:
-                getattr(whole, name)[gels] = getattr(contact, name)
             is_done = is_done | (largest < effort.tolerance_m)
-            if self._may_stop and bool(is_done.any()):
+            some_end = self._may_stop and bool(is_done.any())
+            if some_end or outer == effort.outer - 1:
+                result[:, :, gels], left[gels] = u, largest
+                for name in Contact.__dataclass_fields__:
+                    getattr(whole, name)[gels] = getattr(contact, name)
+            if some_end:
                 number = (~is_done).nonzero()[:, 0]
                 if not len(number):
                     break
