@@ -439,9 +439,9 @@ class BatchedGel:
         rest_gap = self._rest_gap(origin_m, rotation)
         touches = rest_gap < ONSET_M
         begins = touches & ~self._is_touching
-        fresh = begins[:, None, None]
-        here = _to_local(self._skin_m, origin_m, rotation)
-        self._local_m.copy_(torch.where(fresh, here, self._local_m))
+        if not self._may_stop or bool(begins.any()):
+            here = _to_local(self._skin_m, origin_m, rotation)
+            self._local_m.copy_(torch.where(begins[:, None, None], here, self._local_m))
         share = self._share_of_last_move(origin_m, begins)
         in_contact = touches[:, None, None]
         # A gel that relaxes goes on moving when nothing touches it any more.
@@ -656,23 +656,14 @@ class BatchedGel:
         zeros = torch.zeros_like(self._skin_m)
         touches = rest_gap_m < ONSET_M
         in_contact = touches[:, None, None]
-        local = _to_local(skin, markers.origin_m, markers.rotation)
         torque = torch.linalg.cross(markers.gather(skin), force).sum(dim=1)
         deepest = (-gap.amin(dim=1)).clamp(min=0.0)
         # A gel that comes into contact or leaves it has no motion to go on with.
         keeps = self._is_touching & touches
-
-        def change(now: torch.Tensor, before: torch.Tensor) -> torch.Tensor:
-            return torch.where(keeps[:, None, None], now - before, 0.0)
-
         new = {
             "_u_change_m": torch.where(keeps, u - self._u_m, 0.0),
-            "_skin_change_m": change(skin, self._skin_m),
-            "_local_change_m": change(local, self._local_m),
             "_move_m": pose[0] - self._origin_m,
             "_u_m": u,
-            "_skin_m": skin,
-            "_local_m": local,
             "_marker_force_n": zeros.scatter(1, three, force),
             "_slip_m": torch.where(in_contact, zeros.scatter(1, three, contact.slip_m), 0.0),
             "_gap_m": gap,
@@ -689,6 +680,22 @@ class BatchedGel:
         diverged, is_moving = is_moving & ~is_finite, is_moving & is_finite
         if self._relaxation is not None:
             self._relaxation.finish(u, is_moving)
+        wp.launch(
+            kernels.remember_skin,
+            dim=tuple(gap.shape),
+            inputs=[
+                vectors(skin),
+                wp.from_torch(is_moving),
+                wp.from_torch(keeps),
+                matrices(markers.rotation),
+                vectors(markers.origin_m),
+                vectors(self._skin_m),
+                vectors(self._skin_change_m),
+                vectors(self._local_m),
+                vectors(self._local_change_m),
+            ],
+            device=self.device,
+        )
         if not self._may_stop or not bool(is_moving.all()):
             for name, value in new.items():
                 before = getattr(self, name)

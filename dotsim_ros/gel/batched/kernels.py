@@ -325,6 +325,36 @@ def skin_distance(
     distance[b, v] = d
 
 
+@wp.kernel
+def remember_skin(
+    found: wp.array2d(dtype=wp.vec3),
+    is_moving: wp.array(dtype=wp.bool),
+    keeps: wp.array(dtype=wp.bool),
+    rotation: wp.array(dtype=wp.mat33),
+    origin: wp.array(dtype=wp.vec3),
+    skin: wp.array2d(dtype=wp.vec3),
+    skin_change: wp.array2d(dtype=wp.vec3),
+    local: wp.array2d(dtype=wp.vec3),
+    local_change: wp.array2d(dtype=wp.vec3),
+):
+    """Replace the skin [b, v] of gels that move, in the base frame and in that of the indenter, and
+    its changes, which only gels that stay in contact have."""
+    b, v = wp.tid()
+    if not is_moving[b]:
+        return
+    x = found[b, v]
+    y = wp.transpose(rotation[b]) * (x - origin[b])
+    moved = wp.vec3()
+    slid = wp.vec3()
+    if keeps[b]:
+        moved = x - skin[b, v]
+        slid = y - local[b, v]
+    skin[b, v] = x
+    skin_change[b, v] = moved
+    local[b, v] = y
+    local_change[b, v] = slid
+
+
 @wp.func
 def coulomb(
     position: wp.vec3,
