@@ -130,13 +130,11 @@ def springs_in_place_of_the_gel(monkeypatch: pytest.MonkeyPatch) -> None:
     ("name", "values", "rival"),
     [
         ("controller_lag", {"lag_s": 0.08, "damping": 0.4}, "latency"),
-        ("latency", {"latency_s": 0.06}, "controller_lag"),
         ("mount_rotation", {"compliance_rad_nm": 0.02}, "coulomb_slip"),
         ("stage_creep", {"compliance_m_n": 6e-5, "time_s": 2.0}, "viscoelastic_relaxation"),
         ("tool_offset_x", {"x_m": 0.35e-3}, "pose_offset_x"),
         ("tool_tilt_x", {"x_rad": 0.05}, "pose_offset_y"),
         ("force_crosstalk_x", {"share": 0.15}, "force_bias_x"),
-        ("force_bias_x", {"bias_n": 0.3}, "force_crosstalk_x"),
     ],
 )
 def test_an_effect_is_told_from_what_it_is_taken_for(
