@@ -318,7 +318,7 @@ class BatchedGel:
         if not self._may_stop or int(moves.max()) > 1:
             # A gel that nothing touches in the end is at rest, whatever the way, if it does not
             # relax.
-            matters = self._rest_gap(target, turn) < ONSET_M
+            matters = self._rest_gap(target, turn, self._is_placed) < ONSET_M
             if self._relaxation is not None:
                 matters = matters | self._is_touching
             moves = torch.where(matters, moves, 1.0)
@@ -373,11 +373,12 @@ class BatchedGel:
         if self._may_stop and bool(self._is_touching.all()):
             return share
         way = (end_m - start_m).norm(dim=1).clamp(min=1e-12)
+        goes_on = ~self._is_touching
         for _ in range(ADVANCES):
             origin = start_m + share[:, None] * (end_m - start_m)
-            gap = self._skin_distance(self._all_at_rest_m, origin, rotation)
-            clear = (gap.amin(dim=1) - ONSET_M).clamp(min=0.0)
-            share = (share + clear / way).clamp(max=1.0)
+            clear = (self._rest_gap(origin, rotation, goes_on) - ONSET_M).clamp(min=0.0)
+            share = torch.where(goes_on, (share + clear / way).clamp(max=1.0), share)
+            goes_on = goes_on & (clear > 0.0) & (share < 1.0)
         return torch.where(self._is_touching, 0.0, share)
 
     @property
@@ -408,15 +409,21 @@ class BatchedGel:
         return distance, normal
 
     def _skin_distance(
-        self, skin_m: torch.Tensor, origin_m: torch.Tensor, rotation: torch.Tensor
+        self,
+        skin_m: torch.Tensor,
+        origin_m: torch.Tensor,
+        rotation: torch.Tensor,
+        is_wanted: torch.Tensor,
     ) -> torch.Tensor:
-        """Return the signed distances (B, V) of the skin (B, V, 3); infinite on the base."""
+        """Return the signed distances (B, V) of the skin (B, V, 3); infinite on the base, and of
+        gels (B,) that are not wanted."""
         distance = torch.empty(skin_m.shape[:2], device=self.device)
         wp.launch(
             kernels.skin_distance,
             dim=tuple(distance.shape),
             inputs=[
                 vectors(skin_m),
+                wp.from_torch(is_wanted),
                 wp.from_torch(self._on_base),
                 self.field,
                 matrices(rotation.contiguous()),
@@ -427,16 +434,19 @@ class BatchedGel:
         )
         return distance
 
-    def _rest_gap(self, origin_m: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
-        """Return the distances (B,) of indenters at poses (B, 3), (B, 3, 3) from a gel at rest."""
-        return self._skin_distance(self._all_at_rest_m, origin_m, rotation).amin(dim=1)
+    def _rest_gap(
+        self, origin_m: torch.Tensor, rotation: torch.Tensor, is_wanted: torch.Tensor
+    ) -> torch.Tensor:
+        """Return the distances (B,) of indenters at poses (B, 3), (B, 3, 3) from a gel at rest;
+        infinite of those that are not wanted (B,)."""
+        return self._skin_distance(self._all_at_rest_m, origin_m, rotation, is_wanted).amin(dim=1)
 
     def _substep(
         self, origin_m: torch.Tensor, quaternion: torch.Tensor, is_moving: torch.Tensor
     ) -> None:
         """Advance the gels that move to new poses (B, 3), (B, 4) of their indenters."""
         rotation = rotation_of(quaternion)
-        rest_gap = self._rest_gap(origin_m, rotation)
+        rest_gap = self._rest_gap(origin_m, rotation, is_moving)
         touches = rest_gap < ONSET_M
         begins = touches & ~self._is_touching
         if not self._may_stop or bool(begins.any()):
@@ -450,7 +460,7 @@ class BatchedGel:
         unexpected_m = (move - share[:, None] * self._move_m).norm(dim=1)
         near_m = NEAR_M + torch.where(self._is_touching, unexpected_m, 0.0)
         for _ in range(TRIALS):
-            markers, needed = self._markers(origin_m, rotation, share, near_m)
+            markers, needed = self._markers(origin_m, rotation, share, near_m, is_moving)
             u, contact, left = self._equilibrium(
                 self._u_m + share * self._u_change_m,
                 markers,
@@ -461,7 +471,7 @@ class BatchedGel:
             force = torch.where(in_contact, contact.force_n, 0.0)
             u, left = torch.where(is_loaded, u, 0.0), torch.where(is_loaded, left, 0.0)
             skin = self._skin.positions(u, markers.index, force)
-            gap = self._skin_distance(skin, origin_m, rotation)
+            gap = self._skin_distance(skin, origin_m, rotation, is_moving)
             others = gap.scatter(1, markers.index, torch.inf).amin(dim=1)
             missed = touches & is_moving & (others < -MISSED_M)
             if not self._may_stop or not bool(missed.any()):
@@ -483,11 +493,12 @@ class BatchedGel:
         rotation: torch.Tensor,
         share: torch.Tensor,
         near_m: torch.Tensor,
+        is_moving: torch.Tensor,
     ) -> tuple[Markers, torch.Tensor]:
         """Return the markers that are expected nearest to the indenters, the nearest first, and how
         many of them each gel needs (B,): those nearer than (B,), unless counts are fixed."""
         expected = self._skin_m + share[:, None, None] * self._skin_change_m
-        distance = self._skin_distance(expected, origin_m, rotation)
+        distance = self._skin_distance(expected, origin_m, rotation, is_moving)
         every = torch.arange(self.count, dtype=torch.int32, device=self.device)
         count = min(self.effort.markers, distance.shape[1])
         needed = torch.full_like(every, count)

@@ -309,6 +309,7 @@ def surface(
 @wp.kernel
 def skin_distance(
     position: wp.array2d(dtype=wp.vec3),
+    is_wanted: wp.array(dtype=wp.bool),
     is_left_out: wp.array(dtype=wp.bool),
     field: wp.array(dtype=IndenterField),
     rotation: wp.array(dtype=wp.mat33),
@@ -316,10 +317,11 @@ def skin_distance(
     distance: wp.array2d(dtype=wp.float32),
 ):
     """Write the signed distance of markers [b, v] from the indenter of their gel; infinite for
-    those that are left out. Without normals it takes half the time."""
+    those that are left out, and of gels that are not wanted. Without normals it takes half the
+    time."""
     b, v = wp.tid()
     d = wp.float32(wp.inf)
-    if not is_left_out[v]:
+    if is_wanted[b] and not is_left_out[v]:
         y = wp.transpose(rotation[b]) * (position[b, v] - origin[b])
         d, _n, _h = indenter_distance(field[b], y)
     distance[b, v] = d
