@@ -333,13 +333,14 @@ def hold(what: Object, sensors: Sequence[TactileSensor]) -> dict[str, float]:
     }
 
 
-def pull(what: Object, sensors: Sequence[TactileSensor]) -> dict[str, float]:
-    """Return the force that makes a gripped object slip, without gravity, and Coulomb's."""
+def pull(what: Object, sensors: Sequence[TactileSensor]) -> dict[str, float | None]:
+    """Return the force that makes a gripped object slip, without gravity, and its share of
+    Coulomb's; None where the largest load does not."""
     grasp = Grasp(what, sensors, MOVES[:1], gravity_m_s2=0.0)
     friction = sensors[0].specification.contact.friction_coefficient
     coulomb_n = 2.0 * friction * what.grip_n
     body = grasp.data.body("object")
-    load_n, slip_n, height_m = 0.0, float("nan"), 0.0
+    load_n, slip_n, height_m = 0.0, None, 0.0
     while grasp.data.time < GRIPPED_S + RESTED_S + PULL_S:
         grasp.step()
         before_m, height_m = height_m, float(grasp.place()[0][2])
@@ -356,7 +357,8 @@ def pull(what: Object, sensors: Sequence[TactileSensor]) -> dict[str, float]:
         force_n = np.array([0.0, 0.0, load_n])
         torque_nm = np.cross(body.xpos - body.xipos, force_n)
         grasp.data.xfrc_applied[body.id] = [*force_n, *torque_nm]
-    return {"slip_n": slip_n, "slip_over_coulomb": slip_n / coulomb_n}
+    share_of_coulomb = None if slip_n is None else slip_n / coulomb_n
+    return {"slip_n": slip_n, "slip_over_coulomb": share_of_coulomb}
 
 
 def frictionless_slide() -> dict[str, float]:
@@ -388,7 +390,7 @@ def grasps(*, objects: tuple[str, ...] = tuple(OBJECTS), workers: int = 2) -> di
     return {"objects": rows, "frictionless_slide": slide, FAILED: failed}
 
 
-def _grasped(name: str) -> dict[str, float]:
+def _grasped(name: str) -> dict[str, Any]:
     what = OBJECTS[name]
     specification = coarse_sensor() if what.is_wide else load_sensor("gelsight_mini")
     sensors = [TactileSensor.load(specification) for _ in range(2)]
@@ -399,7 +401,7 @@ def _grasped(name: str) -> dict[str, float]:
     return row
 
 
-def _failures(objects: dict[str, dict[str, float]], slide: dict[str, float]) -> Iterator[str]:
+def _failures(objects: dict[str, dict[str, Any]], slide: dict[str, float]) -> Iterator[str]:
     for name, row in objects.items():
         if row["moved_mm"] > MOST_MOVED_MM or row["turned_deg"] > MOST_TURNED_DEG:
             yield f"{name} moved by {row['moved_mm']:.2g} mm, {row['turned_deg']:.2g} degrees"
@@ -409,7 +411,10 @@ def _failures(objects: dict[str, dict[str, float]], slide: dict[str, float]) -> 
             yield f"{name} was set down {row['astray_mm']:.2g} mm away"
         if row["gels_gave_mj"] > 0.0 or row["grown_mj"] > MOST_GROWN * row["lifting_mj"]:
             yield f"{name}: energy grew by {max(row['gels_gave_mj'], row['grown_mj']):.2g} mJ"
-        if not abs(row["slip_over_coulomb"] - 1.0) < MOST_OFF_COULOMB:
-            yield f"{name} slipped at {row['slip_over_coulomb']:.3f} of Coulomb's load"
+        slipped = row["slip_over_coulomb"]
+        if slipped is None:
+            yield f"{name} did not slip at {PULL_SHARES[1]:g} of Coulomb's load"
+        elif not abs(slipped - 1.0) < MOST_OFF_COULOMB:
+            yield f"{name} slipped at {slipped:.3f} of Coulomb's load"
     if not slide["tangential_share"] < MOST_TANGENTIAL:
         yield f"without friction {slide['tangential_share']:.2%} are tangential"
