@@ -68,6 +68,19 @@ class EffectParameter:
                 return end
         return None
 
+    def beyond(self, end: float) -> float:
+        """Return where the range ends once it is opened at an end: farther from the absent effect
+        by as much again; a ratio stays above zero. An end by nature stays."""
+        if self.none is None or end == self.none or end in self.natural_ends:
+            return end
+        is_small_ratio = 0.0 < end < self.none
+        return end * end / self.none if is_small_ratio else 2.0 * end - self.none
+
+    @property
+    def opened(self) -> EffectParameter:
+        """The same with a range that is opened at both ends."""
+        return replace(self, low=self.beyond(self.low), high=self.beyond(self.high))
+
 
 @dataclass(frozen=True)
 class GelTerm:

@@ -126,10 +126,12 @@ def _active(found: FoundEffect, effect: Effect, place: str) -> Active:
         raise ValueError(f"{place}: {effect.name} lacks its parameter {', '.join(missing)}")
     for parameter in effect.parameters:
         value = values[parameter.name]
-        if not parameter.low <= value <= parameter.high:
+        # A search may name a size beyond the usual.
+        opened = parameter.opened
+        if not opened.low <= value <= opened.high:
             raise ValueError(
                 f"{place}: {effect.name}.{parameter.name} is {value:g} {parameter.unit}".rstrip()
-                + f", expected {parameter.low:g} to {parameter.high:g}"
+                + f", expected {opened.low:g} to {opened.high:g}"
             )
     return Active(effect, values)
 

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.presses.conclusions import change_by_trajectory
 from dotsim_ros.gap.presses.evidence import Case, Segment
 from dotsim_ros.gap.presses.inference import Evidence, draw_null, fit_nuisances
+from dotsim_ros.gap.presses.locate import change_by_trajectory
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
 from dotsim_ros.io.arrays import FloatArray
 

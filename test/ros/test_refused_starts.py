@@ -97,7 +97,7 @@ if find_spec("ros_gz_interfaces") is None:
 OVERLAYS = {
     "no overlay of effects at": None,
     "unknown effect 'ghost'; known are": ("ghost", Estimate("size", "", 1.0, 1.0, 1.0)),
-    "force_scale.scale is 3, expected 0.8": (
+    "force_scale.scale is 3, expected 0.64": (
         "force_scale",
         Estimate("scale", "", 3.0, 3.0, 3.0),
     ),

@@ -12,11 +12,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from dotsim_ros.data.recording import Phase
 from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.decision import EXPLAINED
 from dotsim_ros.gap.findings import Verdict
+from dotsim_ros.gap.presses import answer as answer_module
+from dotsim_ros.gap.presses import locate
 from dotsim_ros.gap.presses.answer import (
     SearchAnswer,
     answer_of,
@@ -32,7 +35,7 @@ from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, Whiteni
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
 from dotsim_ros.gap.presses.locate import Closed, Residuals, share_closed
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
-from dotsim_ros.gap.presses.search_state import GapRequest, Search
+from dotsim_ros.gap.presses.search_state import GapRequest, Ranked, Search
 from dotsim_ros.gap.report import wording
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
@@ -394,3 +397,123 @@ def test_a_symptom_does_not_compete_with_what_is_named_in_its_place(
     # Against the symptom it would win half of the repetitions.
     assert answer.decision.stability == 1.0
     assert stability_of(search, answer.ranked, [named]) < decision.LIKELY
+
+
+class LinearCase(Case):
+    """An effect that is simulated by a formula: what it does at its full size, times its size."""
+
+    full: list[np.ndarray]
+
+    def _fill(self, wanted, progress=None):  # type: ignore[no-untyped-def]
+        for variant, size, numbers in wanted:
+            change = variant.change[variant.node.index(size)]
+            for number in numbers:
+                change[number] = size * self.full[number]
+        return []
+
+
+@pytest.mark.parametrize(
+    ("true", "nothing_left", "named"),
+    [
+        (1.6, True, 1.6),
+        # As likely as what is beyond the opened range, by 3.1 deviations.
+        (2.01, True, 2.0),
+        (2.2, True, None),
+        (1.6, False, None),
+    ],
+)
+def test_a_size_beyond_the_usual_is_named_where_it_leaves_nothing_held_out(
+    change: list[np.ndarray],
+    random: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+    true: float,
+    nothing_left: bool,
+    named: float | None,
+) -> None:
+    monkeypatch.setattr(answer_module, "is_at_floor", lambda search, entries: nothing_left)
+    search = search_of(change, true, true, random)
+    search.case.__class__ = LinearCase
+    search.case.full = change
+    search.held_out = [0]
+    search.request = replace(search.request, budget=None)
+    answer = answered(search, change)
+    decided = answer.decision
+    if named is None:
+        assert (decided.verdict, decided.named) == (Verdict.UNKNOWN, ())
+        return
+    (entry,) = decided.named
+    assert answer.ranked == [entry]
+    assert entry.trial.size == pytest.approx(named, abs=0.05)
+    assert "size is beyond the usual, 0 to 1 s" in wording.beyond_usual(EFFECT, entry.trial.size)
+    # The live sensor takes it.
+    entry.estimates = estimates_of(search, entry, ())
+    overlay = Overlay("sensor", "", (FoundEffect("late", entry.estimates),))
+    assert active_effects(overlay, {"late": EFFECT})[0].values["size"] == entry.trial.size
+
+
+@pytest.mark.parametrize(
+    ("before", "left", "is_off", "is_at_floor"),
+    [(1.6, 1.4, True, True), (1.6, 1.6, True, False), (1.1, 1.0, False, True)],
+)
+def test_held_out_trajectories_are_off_and_at_the_floor_in_every_place(
+    change: list[np.ndarray],
+    random: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+    before: float,
+    left: float,
+    is_off: bool,
+    is_at_floor: bool,
+) -> None:
+    search = replace(search_of(change, 0.0, 0.0, random), held_out=[0, 1])
+    phases = [Phase.LOAD, Phase.LOAD, Phase.SLIDE]
+    search.case.trajectories = [
+        replace(t, recording=SimpleNamespace(name=f"press_{k}", phase=phases))
+        for k, t in enumerate(search.case.trajectories)
+    ]
+    ones = [np.ones(SHAPE) for _ in range(TRAJECTORIES)]
+    after = [0.5 * one for one in ones]
+    # In one phase of the force alone, of one trajectory.
+    after[0][2, OF_FORCE] = left
+    gap = [before * one for one in ones]
+    residuals = Residuals(gap, gap, after, ones)
+    monkeypatch.setattr(locate, "with_effects", lambda search, entries: (residuals, None))
+    assert locate.is_off(search, []) is is_off
+    assert locate.is_at_floor(search, []) is is_at_floor
+
+
+def two_effects(
+    change: list[np.ndarray], random: np.random.Generator
+) -> tuple[Search, list[Ranked]]:
+    """Return a search of a large effect, and of one that gains hardly a tenth as much."""
+    other = [DEVIATION * random.standard_normal(SHAPE) for _ in change]
+    observed = [
+        one + 0.2 * second + random.standard_normal(SHAPE)
+        for one, second in zip(change, other, strict=True)
+    ]
+    early = replace(EFFECT, name="early")
+    case = case_of(observed, random)
+    case.library = {"late": EFFECT, "early": early}
+    search = replace(search_of(change, 0.0, 0.0, random), case=case)
+    return search, screen(search, [variant_of(change), variant_of(other, early)])
+
+
+@pytest.mark.parametrize("nothing_left", [True, False])
+def test_two_are_named_in_place_of_one_that_fails_where_they_leave_nothing_held_out(
+    change: list[np.ndarray],
+    random: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+    nothing_left: bool,
+) -> None:
+    monkeypatch.setattr(answer_module, "is_off", lambda search, entries: True)
+    monkeypatch.setattr(answer_module, "is_at_floor", lambda search, entries: nothing_left)
+    search, ranked = two_effects(change, random)
+    # The second does not gain a tenth of the first.
+    assert len(answer_of(search, ranked, *null_gains(search, ranked, NULLS)).decision.named) == 1
+    assert answer_module.pair_instead(search, ranked) is None
+    search.held_out = [0]
+    both = answer_module.pair_instead(search, ranked)
+    if not nothing_left:
+        assert both is None
+        return
+    assert both is not None
+    assert {entry.effect.name for entry in both.named} == {"late", "early"}

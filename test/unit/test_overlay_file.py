@@ -81,7 +81,7 @@ def scale_of(record: dict) -> dict:
             "'force_scale' has no parameter 'gain'; it has scale",
         ),
         (lambda r: r["effects"][0]["parameters"].pop("time_s"), "lacks its parameter time_s"),
-        (lambda r: scale_of(r).update(value=1.5, high=1.6), "scale is 1.5, expected 0.8 to 1.2"),
+        (lambda r: scale_of(r).update(value=1.5, high=1.6), "scale is 1.5, expected 0.64 to 1.4"),
         (lambda r: r["effects"].append(r["effects"][1]), "'force_scale' stands there twice"),
     ],
 )

@@ -22,6 +22,7 @@ from dotsim_ros.gap.presses.inference import (
     fit_nuisances,
     log_evidence,
 )
+from dotsim_ros.gap.presses.locate import is_at_floor, is_off
 from dotsim_ros.gap.presses.screening import Screen, best_trial, try_segment
 from dotsim_ros.gap.presses.search_state import Ranked, Search
 from dotsim_ros.io.arrays import FloatArray
@@ -104,6 +105,8 @@ def answer_of(
     decided = Decision(Verdict.NO_GAP)
     if is_effect or pattern_gain(search) > pattern_threshold:
         decided = _decide(search, ranked)
+        for entry in close_to_best(ranked):
+            entry.held_out_gain = _held_out_gain(search, entry)
     nearest = decided.named or decided.doubted or ranked
     first = max(nearest, key=lambda entry: entry.trial.gain / entry.limit)
     scale = first.limit / threshold
@@ -228,10 +231,10 @@ def _better_variant(search: Search, entry: Ranked) -> Variant:
 
 
 def _decide(search: Search, ranked: list[Ranked]) -> Decision:
-    """Return what the rule makes of effects."""
+    """Return what the rule makes of effects. One that is named beyond its usual size takes its own
+    place in the ranking."""
     for entry in close_to_best(ranked):
         entry.explained = _explained(search, [entry])
-        entry.held_out_gain = _held_out_gain(search, entry)
     able = [entry for entry in ranked if entry.is_past_limit]
     if not able:
         return Decision(Verdict.UNKNOWN)
@@ -248,9 +251,41 @@ def _decide(search: Search, ranked: list[Ranked]) -> Decision:
             doubted = Decision(
                 Verdict.UNKNOWN, doubted=tuple(pair), are_two=True, stability=stability
             )
+    single = _single(search, ranked, able, doubted)
+    both = pair_instead(search, ranked) if single.verdict is Verdict.UNKNOWN else None
+    return both or single
+
+
+def pair_instead(search: Search, ranked: Sequence[Ranked]) -> Decision | None:
+    """Return two effects to name where a single one fails a check, None where no two do: next to
+    each other each gains more than its limit, both explain the gap, most repetitions ask for them,
+    and they leave nothing of a gap that held-out trajectories have."""
+    pair = best_pair(search, ranked, other_law=0.0) if search.held_out else None
+    if pair is None:
+        return None
+    stability = stability_of(search, ranked, pair)
+    if stability < decision.LIKELY:
+        return None
+    both = _two(search, pair, stability)
+    # Where there is no gap, two more effects leave none either.
+    is_shown = both.named and is_off(search, pair) and is_at_floor(search, pair)
+    return both if is_shown else None
+
+
+def _single(
+    search: Search, ranked: list[Ranked], able: Sequence[Ranked], doubted: Decision
+) -> Decision:
+    """Return whether one of the effects past their limits can be named, or a set; what is doubted
+    where none can."""
+    best = able[0]
     close = [entry for entry in able if entry.trial.gain > best.trial.gain - decision.SAME]
     # One that asks for a size beyond its range is a symptom; what explains as much may stand.
     possible = [entry for entry in close if size_beyond_range(search, entry) is None]
+    if not possible:
+        opened = _opened(search, best)
+        if opened is not None:
+            ranked[ranked.index(best)] = opened
+            possible = [opened]
     if not possible or (possible[0].explained or 0.0) < decision.EXPLAINED:
         return doubted
     named, *alternatives = possible
@@ -290,12 +325,35 @@ def size_beyond_range(search: Search, entry: Ranked, other: Ranked | None = None
     variant = entry.trial.variant
     above = end > variant.absent
     outermost = search.segments([variant])[-1 if above else 0]
-    low, high = decision.opened_range(outermost.low, outermost.high, variant.absent, end)
-    opened = replace(outermost, low=low, high=high)
+    further = variant.effect.parameters[0].beyond(end) - end
+    opened = replace(
+        outermost,
+        low=outermost.low + min(further, 0.0),
+        high=outermost.high + max(further, 0.0),
+    )
     base = fit_nuisances(evidence).objective
     found = try_segment(evidence, opened, base)
     within = try_segment(evidence, outermost, base)
     return found.size if found.gain - within.gain > decision.SAME else None
+
+
+def _opened(search: Search, entry: Ranked) -> Ranked | None:
+    """Return an effect that is simulated at the size beyond its plausible range that the data ask
+    for; None where that does not explain the gap or leaves something of the held-out trajectories,
+    where the data ask for yet more, and where nothing can be simulated or is held out."""
+    if not search.held_out or not search.has_budget(1):
+        return None
+    size, *shape = entry.effect.parameters
+    effect = replace(entry.effect, parameters=(size.opened, *shape))
+    known = entry.trial.variant
+    variant = Variant(effect, known.shape, [*known.node], [*known.change])
+    trial = best_trial(search.evidence, search.segments([variant]), search.base.objective)
+    (found,) = _refit(search, [replace(entry, effect=effect, variants=[variant], trial=trial)])
+    if size_beyond_range(search, found) is not None:
+        return None
+    found.explained = _explained(search, [found])
+    is_whole = found.explained >= decision.EXPLAINED and is_at_floor(search, [found])
+    return found if is_whole else None
 
 
 def _explained(search: Search, entries: Sequence[Ranked]) -> float:
@@ -358,9 +416,11 @@ def sizes_by_channel(search: Search, entry: Ranked) -> tuple[float, float] | Non
     return float(skin), float(force)
 
 
-def best_pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
+def best_pair(
+    search: Search, ranked: Sequence[Ranked], other_law: float = decision.OTHER_LAW
+) -> list[Ranked] | None:
     """Return the two effects that gain most together, None unless each gains more next to the other
-    than its limit and what the other's law may be off by.
+    than its limit and what the other's law may be off by, a share of the other's gain.
 
     The one that gains most alone need not be of them: it may be what the two look like together.
     """
@@ -377,7 +437,7 @@ def best_pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
     best = max(pairs, key=lambda pair: _gain(search, pair))
     first, second = best
     is_needed = all(
-        entry.trial.gain > entry.limit + decision.OTHER_LAW * other.trial.gain
+        entry.trial.gain > entry.limit + other_law * other.trial.gain
         for entry, other in ((first, second), (second, first))
     )
     return best if is_needed else None

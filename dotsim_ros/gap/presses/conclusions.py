@@ -19,11 +19,12 @@ from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict, ca
 from dotsim_ros.gap.presses.answer import (
     Decision,
     SearchAnswer,
+    pair_instead,
     size_beyond_range,
     sizes_by_channel,
 )
 from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS
-from dotsim_ros.gap.presses.certainty import close_pairs
+from dotsim_ros.gap.presses.certainty import close_pairs, estimates_of
 from dotsim_ros.gap.presses.evidence import Case
 from dotsim_ros.gap.presses.inference import Fit, fit_nuisances
 from dotsim_ros.gap.presses.locate import (
@@ -34,6 +35,7 @@ from dotsim_ros.gap.presses.locate import (
     places_of_gap,
     residuals_of,
     share_closed,
+    with_effects,
     worst_place,
 )
 from dotsim_ros.gap.presses.made_up import no_gap_sentence
@@ -56,22 +58,17 @@ def findings_of(
     case, request = search.case, search.request
     measured = [k for k, t in enumerate(case.trajectories) if not t.is_reference]
     judged = search.held_out or measured
-    decided, ranked = answer.decision, answer.ranked
-    residuals, refitted = _with_effects(search, decided.named)
-    closed: Closed | None = None
-    left_open: float | None = None
-    nearest = ranked[:1]
-    if decided.named:
-        closed = share_closed(residuals, judged, search.random)
-        if closed is None:
-            search.warnings.append("the held-out trajectories show no gap that could be closed")
-        elif search.held_out and leaves_open(closed):
-            # What explains the searched trajectories alone is not an explanation.
-            left_open, closed = closed.share, None
-            nearest = list(decided.named)
-            decided = Decision(Verdict.UNKNOWN)
-            residuals, refitted = _with_effects(search, [])
+    ranked = answer.ranked
+    decided, left_open = _confirmed(search, ranked, answer.decision)
     named, verdict = decided.named, decided.verdict
+    nearest = ranked[:1] if left_open is None else answer.decision.named
+    for entry in named:
+        others = [other for other in named if other is not entry]
+        entry.estimates = estimates_of(search, entry, others)
+    residuals, refitted = with_effects(search, named)
+    closed = share_closed(residuals, judged, search.random) if named else None
+    if named and closed is None:
+        search.warnings.append("the held-out trajectories show no gap that could be closed")
     estimated = [(entry.effect, entry.estimates) for entry in named]
     search.warnings += wording.certainty_warnings(
         "", decided.stability if named else None, estimated
@@ -100,6 +97,9 @@ def findings_of(
     else:
         alternatives = [e.effect for e in decided.alternatives]
         sentence = wording.missing(estimated, alternatives, gaps, is_held_out=bool(search.held_out))
+        for entry in named:
+            usual = case.library[entry.effect.name]
+            sentence += wording.beyond_usual(usual, entry.trial.size)
     findings = Findings(
         verdict=verdict,
         sentence=sentence,
@@ -153,6 +153,22 @@ def _reasons(search: Search, nearest: Sequence[Ranked], left_open: float | None)
     ]
 
 
+def _confirmed(
+    search: Search, ranked: Sequence[Ranked], decided: Decision
+) -> tuple[Decision, float | None]:
+    """Return what held-out trajectories leave of a decision, and which share of their gap the
+    effects close that are not named because of them; None where they are."""
+    if not decided.named or not search.held_out:
+        return decided, None
+    residuals, _ = with_effects(search, decided.named)
+    closed = share_closed(residuals, search.held_out, search.random)
+    if closed is None or not leaves_open(closed):
+        return decided, None
+    # What explains the searched trajectories alone is not an explanation.
+    both = pair_instead(search, ranked) if len(decided.named) == 1 else None
+    return both or Decision(Verdict.UNKNOWN), closed.share
+
+
 def leaves_open(closed: Closed) -> bool:
     """Return whether named effects leave a clear gap of the held-out trajectories open."""
     is_clear = (
@@ -162,31 +178,6 @@ def leaves_open(closed: Closed) -> bool:
         and closed.trajectories >= decision.TRAJECTORIES_OFF
     )
     return is_clear and closed.share < decision.LEAST_CLOSED
-
-
-def _with_effects(search: Search, named: Sequence[Ranked]) -> tuple[Residuals, Fit]:
-    """Return what effects leave, and the nuisances next to them."""
-    change = change_by_trajectory(search, named)
-    refitted = fit_nuisances(search.evidence.without(search.case.whitened(change, search.chosen)))
-    residuals = residuals_of(
-        search.case,
-        recalibrated=search.base.nuisance,
-        refitted=refitted.nuisance,
-        change=change,
-        noise=search.noise,
-        discrepancy=search.discrepancy,
-    )
-    return residuals, refitted
-
-
-def change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[FloatArray]:
-    """Return (F, SIZE) of each trajectory by effects at the sizes found."""
-    total = [np.zeros_like(t.predicted) for t in search.case.trajectories]
-    for entry in entries:
-        change, failures = search.case.change_everywhere(entry.trial.variant, entry.trial.size)
-        search.warnings += [f"an effect could not be simulated: {text}" for text in failures]
-        total = [before + part for before, part in zip(total, change, strict=True)]
-    return total
 
 
 def _fallback(search: Search) -> Residuals:

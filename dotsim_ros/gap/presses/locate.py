@@ -11,10 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import ALL, ChannelGap, ResidualPlace, WorstFrame
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, amplitude, white_variance
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory
+from dotsim_ros.gap.presses.inference import Fit, fit_nuisances
 from dotsim_ros.gap.presses.observables import CHANNELS, regions_of_observables
+from dotsim_ros.gap.presses.search_state import Ranked, Search
 from dotsim_ros.io.arrays import FloatArray
 
 UNITS = {"skin": "m", "force": "N"}
@@ -74,6 +77,49 @@ def residuals_of(
         after.append(left - case.moved(number, refitted) - change[number])
         deviation.append(expected_deviation(t, noise, discrepancy))
     return Residuals(before, alone, after, deviation)
+
+
+def with_effects(search: Search, named: Sequence[Ranked]) -> tuple[Residuals, Fit]:
+    """Return what effects leave, and the nuisances next to them."""
+    change = change_by_trajectory(search, named)
+    refitted = fit_nuisances(search.evidence.without(search.case.whitened(change, search.chosen)))
+    residuals = residuals_of(
+        search.case,
+        recalibrated=search.base.nuisance,
+        refitted=refitted.nuisance,
+        change=change,
+        noise=search.noise,
+        discrepancy=search.discrepancy,
+    )
+    return residuals, refitted
+
+
+def change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[FloatArray]:
+    """Return (F, SIZE) of each trajectory by effects at the sizes found."""
+    total = [np.zeros_like(t.predicted) for t in search.case.trajectories]
+    for entry in entries:
+        change, failures = search.case.change_everywhere(entry.trial.variant, entry.trial.size)
+        search.warnings += [f"an effect could not be simulated: {text}" for text in failures]
+        total = [before + part for before, part in zip(total, change, strict=True)]
+    return total
+
+
+def is_at_floor(search: Search, entries: Sequence[Ranked]) -> bool:
+    """Return whether effects leave nothing of the held-out trajectories, by `decision.AT_FLOOR`, in
+    any channel, phase and region; they do not where they cannot be simulated there."""
+    known = len(search.warnings)
+    residuals, _ = with_effects(search, entries)
+    if len(search.warnings) > known:
+        return False
+    places = places_of_gap(search.case, residuals, search.held_out, search.random)
+    return all(place.after < decision.AT_FLOOR for place in places)
+
+
+def is_off(search: Search, entries: Sequence[Ranked]) -> bool:
+    """Return whether held-out trajectories have a clear gap, by `decision.FAR`, where effects
+    act."""
+    closed = share_closed(with_effects(search, entries)[0], search.held_out, search.random)
+    return closed is not None and closed.before >= decision.FAR
 
 
 def channel_gaps(residuals: Residuals, chosen: Sequence[int]) -> tuple[ChannelGap, ...]:

@@ -27,7 +27,6 @@ from dotsim_ros.gap.presses.assumptions import (
     centred,
     nuisance_requests,
 )
-from dotsim_ros.gap.presses.certainty import estimates_of
 from dotsim_ros.gap.presses.conclusions import findings_of
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy, noise_from_idle
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_case
@@ -134,10 +133,6 @@ def search_presses(
         ranked = screen(search, variants)
         gains, pattern_gains = null_gains(search, ranked, decision.NULL_DRAWS)
         answer = answer_of(search, ranked, gains, pattern_gains)
-        named = answer.decision.named
-        for entry in named:
-            others = [other for other in named if other is not entry]
-            entry.estimates = estimates_of(search, entry, others)
         findings, overlay = findings_of(search, measurement, reference, answer, silent)
         if request.next_presses:
             findings = with_questions(findings, search, answer, measurement.skin)

@@ -184,6 +184,18 @@ def missing(
     return text + _not_distinguished("data", alternatives)
 
 
+def beyond_usual(effect: Effect, value: float) -> str:
+    """Return that a named effect's size is beyond its plausible range; empty where it is within."""
+    parameter = effect.parameters[0]
+    if parameter.low <= value <= parameter.high:
+        return ""
+    unit = _unit(parameter)
+    return (
+        f" Its size is beyond the usual, {parameter.low:g} to {parameter.high:g}{unit}: held-out "
+        "data have no gap left with it, in any channel, phase and place."
+    )
+
+
 NO_GAP_IN_IMAGES = "Images: no gap beyond noise and the twin's own error."
 
 
