@@ -23,14 +23,16 @@ from dotsim_ros.gap.presses import locate
 from dotsim_ros.gap.presses.answer import (
     SearchAnswer,
     answer_of,
+    decide,
     null_gains,
     screen,
     size_beyond_range,
     sizes_by_channel,
+    tried_again,
 )
 from dotsim_ros.gap.presses.assumptions import SHARED, PressNuisance
 from dotsim_ros.gap.presses.certainty import estimates_of, stability_of
-from dotsim_ros.gap.presses.conclusions import leaves_open
+from dotsim_ros.gap.presses.conclusions import is_other_answer, leaves_open
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, Whitening
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
 from dotsim_ros.gap.presses.locate import Closed, Residuals, share_closed
@@ -517,3 +519,22 @@ def test_two_are_named_in_place_of_one_that_fails_where_they_leave_nothing_held_
         return
     assert both is not None
     assert {entry.effect.name for entry in both.named} == {"late", "early"}
+
+
+def test_an_answer_hangs_on_the_one_trajectory_that_shows_it(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    shown = [one if k == 3 else np.zeros(SHAPE) for k, one in enumerate(change)]
+    observed = [0.9 * one + random.standard_normal(SHAPE) for one in shown]
+    search = replace(search_of(change, 0.0, 0.0, random), case=case_of(observed, random))
+    ranked = screen(search, [variant_of(shown)])
+    answer = answer_of(search, ranked, *null_gains(search, ranked, NULLS))
+    assert [entry.effect.name for entry in answer.decision.named] == ["late"]
+    hinges = []
+    for number in search.chosen:
+        part = search.without(number)
+        if is_other_answer(answer.decision, decide(part, tried_again(part, ranked))):
+            hinges.append(number)
+    assert hinges == [3]
+    text = wording.hinge("press_3", [EFFECT], are_two=False)
+    assert text.endswith("without press_3 it would be: late; record it again")

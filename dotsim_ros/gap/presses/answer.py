@@ -104,7 +104,7 @@ def answer_of(
         ranked = _refit(search, ranked)
     decided = Decision(Verdict.NO_GAP)
     if is_effect or pattern_gain(search) > pattern_threshold:
-        decided = _decide(search, ranked)
+        decided = decide(search, ranked)
         for entry in close_to_best(ranked):
             entry.held_out_gain = _held_out_gain(search, entry)
     nearest = decided.named or decided.doubted or ranked
@@ -230,7 +230,7 @@ def _better_variant(search: Search, entry: Ranked) -> Variant:
     return variant
 
 
-def _decide(search: Search, ranked: list[Ranked]) -> Decision:
+def decide(search: Search, ranked: list[Ranked]) -> Decision:
     """Return what the rule makes of effects. One that is named beyond its usual size takes its own
     place in the ranking."""
     for entry in close_to_best(ranked):
@@ -254,6 +254,17 @@ def _decide(search: Search, ranked: list[Ranked]) -> Decision:
     single = _single(search, ranked, able, doubted)
     both = pair_instead(search, ranked) if single.verdict is Verdict.UNKNOWN else None
     return both or single
+
+
+def tried_again(search: Search, ranked: Sequence[Ranked]) -> list[Ranked]:
+    """Return effects in their order on another search's evidence, at sizes between those that were
+    simulated."""
+    evidence, base = search.evidence, search.base.objective
+    tried = [
+        replace(entry, trial=best_trial(evidence, search.segments(entry.variants), base))
+        for entry in ranked
+    ]
+    return sorted(tried, key=lambda entry: entry.trial.gain, reverse=True)
 
 
 def pair_instead(search: Search, ranked: Sequence[Ranked]) -> Decision | None:

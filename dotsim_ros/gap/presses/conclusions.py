@@ -19,9 +19,11 @@ from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict, ca
 from dotsim_ros.gap.presses.answer import (
     Decision,
     SearchAnswer,
+    decide,
     pair_instead,
     size_beyond_range,
     sizes_by_channel,
+    tried_again,
 )
 from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS
 from dotsim_ros.gap.presses.certainty import close_pairs, estimates_of
@@ -69,6 +71,8 @@ def findings_of(
     closed = share_closed(residuals, judged, search.random) if named else None
     if named and closed is None:
         search.warnings.append("the held-out trajectories show no gap that could be closed")
+    if verdict is not Verdict.NO_GAP:
+        search.warnings += _hinges(search, ranked, decided)
     estimated = [(entry.effect, entry.estimates) for entry in named]
     search.warnings += wording.certainty_warnings(
         "", decided.stability if named else None, estimated
@@ -167,6 +171,30 @@ def _confirmed(
     # What explains the searched trajectories alone is not an explanation.
     both = pair_instead(search, ranked) if len(decided.named) == 1 else None
     return both or Decision(Verdict.UNKNOWN), closed.share
+
+
+def _hinges(search: Search, ranked: Sequence[Ranked], decided: Decision) -> list[str]:
+    """Return of which chosen trajectories the answer is another one without each, in words."""
+    texts = []
+    measured = [k for k in search.chosen if not search.case.trajectories[k].is_reference]
+    for number in measured if len(measured) > 1 else ():
+        part = search.without(number)
+        again = tried_again(part, ranked)
+        other, _ = _confirmed(part, again, decide(part, again))
+        if is_other_answer(decided, other):
+            name = search.case.trajectories[number].recording.name
+            effects = [e.effect for e in (*other.named, *other.alternatives)]
+            texts.append(wording.hinge(name, effects, are_two=len(other.named) > 1))
+    return texts
+
+
+def is_other_answer(decided: Decision, other: Decision) -> bool:
+    """Return whether two decisions name other effects; of sets, whether no effect is in both."""
+    names, others = (
+        {e.effect.name for e in (*one.named, *one.alternatives)} for one in (decided, other)
+    )
+    is_set = bool(decided.alternatives or other.alternatives)
+    return not names & others if is_set and names and others else names != others
 
 
 def leaves_open(closed: Closed) -> bool:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -132,6 +132,18 @@ class Search:
     warnings: list[str] = field(default_factory=list)
     pattern_chance: float = 0.0
     _segments: dict[tuple[int, int], list[Segment]] = field(default_factory=dict)
+
+    def without(self, number: int) -> Search:
+        """Return a search of the same without one of the chosen trajectories, which simulates no
+        further size and keeps its draws and warnings to itself."""
+        return replace(
+            self,
+            request=replace(self.request, budget=0),
+            chosen=[one for one in self.chosen if one != number],
+            random=np.random.default_rng(self.request.seed),
+            warnings=[],
+            _segments={},
+        )
 
     @cached_property
     def evidence(self) -> Evidence:

@@ -184,6 +184,16 @@ def missing(
     return text + _not_distinguished("data", alternatives)
 
 
+def hinge(trajectory: str, named: Sequence[Effect], *, are_two: bool) -> str:
+    """Return that the answer hangs on a trajectory, and what would be named without it: nothing,
+    one effect, two that act together, or a set."""
+    answer = amid_all(named, are_two=are_two) if named else "no effect is named"
+    return (
+        f"the answer hangs on one trajectory: without {trajectory} it would be: {answer}; record "
+        "it again"
+    )
+
+
 def beyond_usual(effect: Effect, value: float) -> str:
     """Return that a named effect's size is beyond its plausible range; empty where it is within."""
     parameter = effect.parameters[0]
