@@ -1,7 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Presses a second against workers, as processes and on Ray, and what a task costs by itself.
+"""Presses a second against workers, as processes and on Ray, what a task costs by itself, and
+touches a second against the nodes of a cluster.
 
 Each task presses a ball, as a mesh, into the gel of the sensor at its own grid, as the gap finder
 and the calibration do. Before the clock starts every worker has its gel. All workers are of this
@@ -12,8 +13,12 @@ from __future__ import annotations
 
 import os
 import pickle
+import tempfile
 import time
 from concurrent.futures import Executor, as_completed
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +32,9 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.cache import content_key
 from dotsim_ros.io.cores import available_core_count
 from dotsim_ros.io.worker_pool.pool import Crew, RayWorkers, open_pool, worker_count
-from dotsim_ros.io.worker_pool.ray_cluster import connected_ray
+from dotsim_ros.io.worker_pool.ray_cluster import ON_THIS_MACHINE, SETTINGS, connected_ray
+from dotsim_ros.learning.touches.plan import read_plan
+from dotsim_ros.learning.touches.run import make_touches
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.twin import solver
 from dotsim_ros.twin.solver import SolveRequest
@@ -38,6 +45,14 @@ FRAMES = 12
 DEEPEST_M = 2.0e-3
 EMPTY_TASKS = 200
 ARRAY_BYTES = 1 << 20
+TOUCHES_A_TASK = 5
+NODE: dict[str, Any] = {
+    "num_cpus": 1,
+    "include_dashboard": False,
+    "object_store_memory": 200_000_000,
+}
+AT_FULL_SPEED = {"RAY_worker_niceness": "0"}
+"""By default Ray's workers give way to whatever else runs, which would be measured too."""
 
 
 def ball() -> Indenter:
@@ -149,22 +164,68 @@ def measured(crew: Crew, requests: list[SolveRequest], sensor_name: str) -> dict
     return figures
 
 
+def touches_on(nodes: int, touches: int, *, kill: bool = False) -> dict[str, Any]:
+    """Return touches a second on a cluster of so many nodes, and a digest of the data set.
+
+    Args:
+        nodes: of one CPU each; the first is the head.
+        touches: of the default plan. Each node's first task is not timed: it loads the kernels.
+        kill: whether the last node is killed when a third of them is written.
+    """
+    os.environ.update(SETTINGS | ON_THIS_MACHINE)
+    import ray
+    from ray.cluster_utils import Cluster
+
+    ray.shutdown()
+    cluster = Cluster()
+    added = [cluster.add_node(**NODE) for _ in range(nodes)]
+    cluster.wait_for_nodes()
+    moments: list[tuple[int, float]] = []
+
+    def note(_what: str, done: int, _of: int) -> None:
+        moments.append((done, time.perf_counter()))
+        if kill and len(added) > 1 and done >= touches / 3:
+            cluster.remove_node(added.pop(), allow_graceful=False)
+
+    plan = replace(read_plan(None), touches_a_gel=TOUCHES_A_TASK)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        crew = RayWorkers(nodes, cluster.address)
+        try:
+            make_touches(plan, folder, count=touches, workers=crew, progress=note)
+        finally:
+            ray.shutdown()
+            cluster.shutdown()
+        files = sorted([*folder.rglob("file-*.parquet"), *folder.rglob("*.mp4")])
+        digest = sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+    (before, begun_s), (done, ended_s) = moments[nodes], moments[-1]
+    return {
+        "nodes": nodes,
+        "killed": int(kill),
+        "touches_per_s": round((done - before) / (ended_s - begun_s), 3),
+        "digest": digest,
+    }
+
+
 def scale_out(
     *,
     workers: tuple[int, ...] = (1, 2, 4),
     presses: int = 32,
+    touches: int = 60,
     sensor: str = "densetact2",
     ray_address: str = "local",
 ) -> dict[str, Any]:
-    """Presses a second against workers, as processes and on Ray.
+    """Presses a second against workers, as processes and on Ray, and touches against nodes.
 
     Args:
         workers: numbers of them.
         presses: timed for each number.
+        touches: made on each cluster.
         sensor: name or file.
         ray_address: of a cluster; local for this machine.
     """
     expect_positive(fewest_workers=min(workers), presses=presses)
+    os.environ.update(AT_FULL_SPEED)
     requests = requests_of(sensor, presses)
     # The tables of the gel are made once and kept on disk.
     solver.begin(load_sensor(sensor), skin_of(load_sensor(sensor).gel))
@@ -179,6 +240,14 @@ def scale_out(
         for where, crew in (("processes", count), ("Ray", RayWorkers(count, ray_address)))
     ]
     digests = {row.pop("digest") for row in rows}
+    clusters = [
+        touches_on(1, touches),
+        touches_on(2, touches),
+        touches_on(2, touches, kill=True),
+    ]
+    data_sets = {row.pop("digest") for row in clusters}
+    failed = ["workers gave different answers"] if len(digests) > 1 else []
+    failed += ["clusters made different data sets"] if len(data_sets) > 1 else []
     return {
         "cores": available_core_count(),
         "load_before": round(load_before, 2),
@@ -186,7 +255,9 @@ def scale_out(
         "frames_per_press": FRAMES,
         "ray_start_s": round(ray_start_s, 2),
         "rows": rows,
-        "answers_are_the_same": len(digests) == 1,
+        "answers_are_the_same": not failed,
+        "clusters": clusters,
+        "two_nodes_over_one": round(clusters[1]["touches_per_s"] / clusters[0]["touches_per_s"], 2),
         "load_after": round(os.getloadavg()[0], 2),
-        FAILED: [] if len(digests) == 1 else ["workers gave different answers"],
+        FAILED: failed,
     }
