@@ -119,18 +119,24 @@ class Object:
     is_wide: bool = False
 
 
-def _egg(length_m: float, width_m: float) -> str:
-    """Return the mesh of an egg that lies along y, one end more pointed than the other."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    along = np.cos(np.linspace(0.0, np.pi, 33))[1:-1]
-    radius = 0.5 * width_m * np.sqrt(1.0 - along**2) * (1.0 + 0.1 * along)
-    points = [(0.0, 0.5 * length_m, 0.0), (0.0, -0.5 * length_m, 0.0)]
-    for r, a in zip(radius, along, strict=True):
-        points += [(r * np.cos(t), 0.5 * length_m * a, r * np.sin(t)) for t in turn]
-    text = " ".join(f"{number:.7f}" for point in points for number in point)
-    return f'<mesh name="gripped" vertex="{text}"/>'
+def _egg(length_m: float, width_m: float) -> tuple[str, float]:
+    """Return the mesh of an egg that lies along y as it comes to rest, on a facet, one end more
+    pointed than the other, and the height of its centre of mass, which is its origin."""
+    turn = (np.arange(48) + 0.5) * (2.0 * np.pi / 48)
+    along = np.cos(np.linspace(0.0, np.pi, 33))
+    radius = np.sqrt(1.0 - along**2) * (1.0 + 0.1 * along)
+    middle = np.average(along[1:-1], weights=(radius**2 * np.sqrt(1.0 - along**2))[1:-1])
+    y = np.repeat(0.5 * length_m * (along - middle), len(turn))
+    x, z = (0.5 * width_m * np.outer(radius, f(turn)).ravel() for f in (np.cos, np.sin))
+    tilts = np.linspace(-0.2, 0.2, 401)
+    height_m = -np.min(np.outer(np.sin(tilts), y) + np.outer(np.cos(tilts), z), axis=1)
+    tilt = float(tilts[np.argmin(height_m)])
+    points = x, np.cos(tilt) * y - np.sin(tilt) * z, np.sin(tilt) * y + np.cos(tilt) * z
+    text = " ".join(f"{number:.7f}" for number in np.column_stack(points).ravel())
+    return f'<mesh name="gripped" vertex="{text}"/>', float(height_m.min())
 
 
+EGG, EGG_HEIGHT_M = _egg(0.057, 0.044)
 RING = (
     '<mesh name="gripped" builtin="supertorus" params="48 .15 1 1" scale=".0095652 .0095652 '
     '.0095652"/>'
@@ -167,9 +173,9 @@ OBJECTS = {
     "egg": Object(
         '<geom name="gripped" type="mesh" mesh="gripped" mass=".06"/>',
         0.022,
-        0.022,
+        EGG_HEIGHT_M,
         2.0,
-        _egg(0.057, 0.044),
+        EGG,
     ),
     "ring": Object(
         '<geom name="gripped" type="mesh" mesh="gripped" mass=".005"/>',
