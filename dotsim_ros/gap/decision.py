@@ -3,7 +3,7 @@
 
 """The rule that turns evidence into an answer. Frozen: a change of it is a change of its version.
 
-Version 10. Data in which no effect gains more than its limit have no gap, unless the patterns that
+Version 11. Data in which no effect gains more than its limit have no gap, unless the patterns that
 any model could remove gain more than theirs: then it is unknown. Otherwise, of the effects past
 their limits, the one that gains most, once refitted, is named, with those that gain nearly as much;
 or two, where each gains more than its limit next to the other, both gain much more than the best
@@ -30,7 +30,7 @@ import numpy as np
 
 from dotsim_ros.io.arrays import FloatArray
 
-RULE_VERSION = 10
+RULE_VERSION = 11
 
 SCREENED = 3
 """So many effects are refitted, together with those that gain nearly as much."""
@@ -47,10 +47,6 @@ FAR = 1.2
 """...where that gap's RMS was so many times the floor: below, the share is that of noise."""
 TRAJECTORIES_OFF = 2
 """So many held-out trajectories at least must show that gap."""
-OPENED = 1.0
-"""Where an effect stands at the end of its range, the range is opened by as much again to see
-whether the data ask for more. A size at the end alone is none: a real effect may be as large as is
-plausible."""
 AT_FLOOR = 1.5
 """RMS, in expected deviations, below which nothing is left of the held-out trajectories in a place:
 where nothing is missing, two sets of a second unit come to 1.17; the margin is a guess."""
@@ -105,13 +101,6 @@ def limit_factor(name: str, measured: Mapping[str, float], *, is_representative:
 def pattern_factor(measured: float, *, is_representative: bool) -> float:
     """Return the same for what all patterns gain together, 0 being not measured."""
     return max(MARGIN if is_representative and measured else PATTERNS_HEAVIER, measured)
-
-
-def opened_range(low: float, high: float, absent: float, end: float) -> tuple[float, float]:
-    """Return a range that goes on beyond one of its ends by `OPENED` of its way from the absent
-    effect."""
-    further = OPENED * (end - absent)
-    return low + min(further, 0.0), high + max(further, 0.0)
 
 
 def threshold_of(gains: list[float], alpha: float) -> float:

@@ -8,10 +8,11 @@ shape searched about the best probe. A second effect enters past the threshold a
 what the first one leaves (`decision.FURTHER`). What the named ones leave is compared with what
 trajectories leave in which nothing is missing.
 
-Where a size stands at an end of its plausible range, the range is opened by as much again, as in
-the rule of presses (`decision.OPENED`). If the images ask for a size out there, farther from the
-end than noise and the model's error let it be, the effect imitates something else: what is missing
-is unknown, unless an effect that takes off as much is within its own range.
+Where a size stands at an end of its plausible range, the range is opened there
+(`EffectParameter.beyond`). If the images ask for a size out there, farther from the end than noise
+and the model's error let it be, the effect imitates something else: what is missing is unknown,
+unless an effect that takes off as much is within its own range. Presses name such an effect where
+it leaves nothing of held-out trajectories; of images none are held out.
 """
 
 from __future__ import annotations
@@ -226,8 +227,10 @@ class ImageSearch:
     def _beyond_of(self, residuals: Sequence[FloatArray], one: Fitted) -> BeyondRange | None:
         """Return as `_beyond` of one effect, next to nothing."""
         values = one.score.values
-        ends = {p.name: p.end_at(values[p.name]) for p in one.effect.parameters}
-        directions = tuple(_opened(d, ends[d.name]) for d in one.signature.directions)
+        parameters = {parameter.name: parameter for parameter in one.effect.parameters}
+        directions = tuple(
+            _opened(d, parameters[d.name], values[d.name]) for d in one.signature.directions
+        )
         if directions == one.signature.directions:
             return None
         opened = replace(one.signature, directions=directions)
@@ -408,12 +411,14 @@ def _probed_at(effect: Effect, values: Mapping[str, float]) -> Effect:
     return replace(effect, parameters=tuple(parameters))
 
 
-def _opened(direction: Direction, end: float | None) -> Direction:
-    """Return a direction whose range goes on beyond an end; None for one that it does not reach."""
+def _opened(direction: Direction, parameter: EffectParameter, value: float) -> Direction:
+    """Return the direction of a parameter with a range that goes on beyond the end that a value
+    stands at; as it is within."""
+    end = parameter.end_at(value)
     if end is None:
         return direction
-    low, high = decision.opened_range(direction.low, direction.high, direction.none, end)
-    return replace(direction, low=low, high=high)
+    beyond = parameter.beyond(end)
+    return replace(direction, low=min(direction.low, beyond), high=max(direction.high, beyond))
 
 
 def _beside(parameter: EffectParameter, value: float, reach: float) -> list[float]:
