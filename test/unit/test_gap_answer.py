@@ -536,5 +536,8 @@ def test_an_answer_hangs_on_the_one_trajectory_that_shows_it(
         if is_other_answer(answer.decision, decide(part, tried_again(part, ranked))):
             hinges.append(number)
     assert hinges == [3]
-    text = wording.hinge("press_3", [EFFECT], are_two=False)
-    assert text.endswith("without press_3 it would be: late; record it again")
+    others = {"press_3": ([EFFECT], False), "press_4": ([], False), "press_5": ([], False)}
+    assert wording.hinges(others) == (
+        "the answer hangs on single trajectories (without press_3: late; without press_4 or "
+        "press_5: no effect is named): record each again"
+    )

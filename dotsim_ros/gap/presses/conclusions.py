@@ -174,8 +174,9 @@ def _confirmed(
 
 
 def _hinges(search: Search, ranked: Sequence[Ranked], decided: Decision) -> list[str]:
-    """Return of which chosen trajectories the answer is another one without each, in words."""
-    texts = []
+    """Return a warning of the chosen trajectories without each of which the answer is another one;
+    none where there are none."""
+    others = {}
     measured = [k for k in search.chosen if not search.case.trajectories[k].is_reference]
     for number in measured if len(measured) > 1 else ():
         part = search.without(number)
@@ -184,8 +185,8 @@ def _hinges(search: Search, ranked: Sequence[Ranked], decided: Decision) -> list
         if is_other_answer(decided, other):
             name = search.case.trajectories[number].recording.name
             effects = [e.effect for e in (*other.named, *other.alternatives)]
-            texts.append(wording.hinge(name, effects, are_two=len(other.named) > 1))
-    return texts
+            others[name] = effects, len(other.named) > 1
+    return [wording.hinges(others)] if others else []
 
 
 def is_other_answer(decided: Decision, other: Decision) -> bool:

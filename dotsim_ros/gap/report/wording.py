@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from dotsim_ros.data.measurement import Measurement, protocol_of
 from dotsim_ros.data.recording import Phase
@@ -184,14 +184,20 @@ def missing(
     return text + _not_distinguished("data", alternatives)
 
 
-def hinge(trajectory: str, named: Sequence[Effect], *, are_two: bool) -> str:
-    """Return that the answer hangs on a trajectory, and what would be named without it: nothing,
-    one effect, two that act together, or a set."""
-    answer = amid_all(named, are_two=are_two) if named else "no effect is named"
-    return (
-        f"the answer hangs on one trajectory: without {trajectory} it would be: {answer}; record "
-        "it again"
-    )
+def hinges(others: Mapping[str, tuple[Sequence[Effect], bool]]) -> str:
+    """Return that the answer hangs on single trajectories.
+
+    Args:
+        others: what would be named without each, by its name: nothing, one effect, two, or a set;
+            and whether two would act together. At least one.
+    """
+    answers: dict[str, list[str]] = {}
+    for trajectory, (named, are_two) in others.items():
+        answer = amid_all(named, are_two=are_two) if named else "no effect is named"
+        answers.setdefault(answer, []).append(trajectory)
+    texts = [f"without {' or '.join(names)}: {answer}" for answer, names in answers.items()]
+    again = "it" if len(others) == 1 else "each"
+    return f"the answer hangs on single trajectories ({'; '.join(texts)}): record {again} again"
 
 
 def beyond_usual(effect: Effect, value: float) -> str:
