@@ -5,7 +5,8 @@
 
 Recalibration alone and a black-box correction name nothing: what they leave of trajectories that
 they were not fitted to is compared. The lasso (Tibshirani 1996) names the effect of its largest
-coefficient, on the same whitened columns that the finder screens.
+coefficient, on the same whitened columns that the finder screens; the Bayesian information
+criterion (Schwarz 1978) the single effect that it prefers, if it prefers one to none.
 """
 
 from __future__ import annotations
@@ -73,6 +74,15 @@ def left_on_others(
 
 def _square(evidence: Evidence, nuisance: FloatArray) -> float:
     return float(np.mean((evidence.residual - evidence.nuisance @ nuisance) ** 2))
+
+
+def bic_name(search: Search, ranked: Sequence[Ranked]) -> str | None:
+    """Return the single effect that the Bayesian information criterion prefers to all others and to
+    none; None where it prefers none."""
+    price = float(np.log(len(search.evidence.residual)))
+    lead = {e.effect.name: e.trial.gain - price * len(e.effect.parameters) for e in ranked}
+    best = max(lead, key=lambda name: lead[name])
+    return best if lead[best] > 0.0 else None
 
 
 def lasso_name(search: Search, ranked: Sequence[Ranked]) -> str | None:

@@ -43,7 +43,7 @@ from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 from dotsim_ros.twin.solver import TOLERANCE_M
 from studies.data import SENSOR_A
-from studies.gap.baselines import Left, lasso_name, left_on_others
+from studies.gap.baselines import Left, bic_name, lasso_name, left_on_others
 from studies.gap.discrepancy import calibrated_discrepancy
 from studies.gap.limits import detection_limits
 from studies.gap.presses import (
@@ -89,7 +89,7 @@ class StudyCase:
         alike: largest cosine between the hidden change and an effect of the library, as it was
             found, nuisances projected out.
         left: on trajectories that were not searched.
-        lasso: effect that the lasso names.
+        lasso, bic: effects that the lasso and the Bayesian information criterion name.
         screening: effect that screening alone names.
     """
 
@@ -103,6 +103,7 @@ class StudyCase:
     alike: float
     left: Left
     lasso: str | None
+    bic: str | None
     screening: str | None
 
     @property
@@ -377,6 +378,7 @@ def _decide(
         alike if truth else 0.0,
         left_on_others(search, answer.decision.named, others, case),
         lasso,
+        bic_name(search, ranked),
         first.effect.name if first.is_past_limit else None,
     )
 
@@ -505,6 +507,10 @@ def _baselines(nulls: Sequence[StudyCase], single: Sequence[StudyCase]) -> dict[
         "lasso": {
             "false_names": _share(nulls, lambda c: c.lasso is not None),
             "named_right_from_20": _share(large, lambda c: c.lasso in c.hidden),
+        },
+        "bic": {
+            "false_names": _share(nulls, lambda c: c.bic is not None),
+            "named_right_from_20": _share(large, lambda c: c.bic in c.hidden),
         },
         "screening": {
             "false_names": _share(nulls, lambda c: c.screening is not None),

@@ -39,6 +39,7 @@ from dotsim_ros.gap.presses.locate import Closed, Residuals, share_closed
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
 from dotsim_ros.gap.presses.search_state import GapRequest, Ranked, Search
 from dotsim_ros.gap.report import wording
+from studies.gap.baselines import bic_name
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
 SHAPE = (FRAMES, SIZE)
@@ -128,6 +129,14 @@ def test_an_effect_of_one_size_in_skin_and_force_is_named(
     assert answer.decision.named[0].trial.size == pytest.approx(0.8, abs=0.1)
     assert answer.decision.named[0].explained == pytest.approx(1.0, abs=0.05)
     assert sizes_by_channel(search, answer.decision.named[0]) is None
+
+
+def test_the_information_criterion_names_what_gains_more_than_its_price(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    for share, name in ((0.0, None), (0.8, "late")):
+        search = search_of(change, share, share, random)
+        assert bic_name(search, screen(search, [variant_of(change)])) == name
 
 
 Direction = tuple[list[np.ndarray], list[np.ndarray]]

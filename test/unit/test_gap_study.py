@@ -29,7 +29,7 @@ def case(
 ) -> StudyCase:
     left = left or Left(1.0, 1.0, 1.0, 1.0)
     return StudyCase(
-        truth, presses, verdict, named, alternatives, size, size, 0.5, left, None, None
+        truth, presses, verdict, named, alternatives, size, size, 0.5, left, None, None, None
     )
 
 
