@@ -46,3 +46,11 @@ def test_overload_lowers_the_rate_and_nothing_queues_up():
     assert starts[-1] == pytest.approx(0.05 * 99)
     assert pace.deadline_s() - starts[-1] <= 0.04
     assert pace.dropped == pytest.approx(0.05 * 99 / 0.04 - 99, abs=1)
+
+
+def test_a_pace_of_another_rate_goes_on_counting():
+    pace = FramePace(rate_hz=25.0, start_s=0.0)
+    run(pace, [0.06, 0.21, 0.01])
+    other = pace.resumed(rate_hz=10.0, start_s=5.0)
+    assert (other.deadline_s(), other.late, other.dropped) == (5.0, pace.late, pace.dropped)
+    assert min(other.late, other.dropped) > 0

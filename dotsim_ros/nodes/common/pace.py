@@ -29,6 +29,12 @@ class FramePace:
         self.late = 0
         self.dropped = 0
 
+    def resumed(self, *, rate_hz: float, start_s: float) -> FramePace:
+        """Return a pace of another rate or start that goes on counting."""
+        pace = FramePace(rate_hz=rate_hz, start_s=start_s)
+        pace.late, pace.dropped = self.late, self.dropped
+        return pace
+
     def deadline_s(self) -> float:
         """Return when the next frame is due."""
         return self._start_s + self._index * self._period_s

@@ -117,7 +117,7 @@ class ConfiguredSensor:
         self._counter = FrameCounter()
         self._motions = MotionQueue()
         self._frame_ns: int | None = None
-        self._pace = self._new_pace()
+        self._pace = FramePace(rate_hz=time_of.rate_hz, start_s=node.now_s())
         self._outputs = FramePublishers(node, self._sensor, settings, noise=specification.noise)
         self._calibration = CalibrationStore(
             node,
@@ -156,7 +156,7 @@ class ConfiguredSensor:
             )
         with self._lock:
             self._is_active = True
-            self._pace = self._new_pace()
+            self._start_pace()
         if self._is_realtime:
             self._end_frames = self._node.start_paced(
                 "frames", lambda: self._pace, self._realtime_frame, FRAMES_BROKEN
@@ -226,8 +226,10 @@ class ConfiguredSensor:
     def _makes_frames(self) -> bool:
         return self._is_active and self._is_enabled
 
-    def _new_pace(self) -> FramePace:
-        return FramePace(rate_hz=self.settings.time.rate_hz, start_s=self._node.now_s())
+    def _start_pace(self) -> None:
+        self._pace = self._pace.resumed(
+            rate_hz=self.settings.time.rate_hz, start_s=self._node.now_s()
+        )
 
     def _realtime_frame(self) -> None:
         stamp_ns = self._node.time_ns()
@@ -406,7 +408,7 @@ class ConfiguredSensor:
             has_new_rate = changed.time.rate_hz != self.settings.time.rate_hz
             self.settings = changed
             if has_new_rate:
-                self._pace = self._new_pace()
+                self._start_pace()
                 self._session.first_dt_s = 1.0 / changed.time.rate_hz
 
 
