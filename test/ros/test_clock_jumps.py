@@ -87,6 +87,19 @@ def test_a_pose_that_is_left_over_from_the_time_before_keeps_no_other_out(
     assert [a.is_same(b) for a, b in zip(again, first, strict=True)] == [True] * COUNT
 
 
+def test_a_pose_that_comes_before_the_clock_leaps_to_it_has_its_frame(simulator: Simulator) -> None:
+    client, apart_m = simulator.client, (0.0, 0.0, APART_M)
+    restarts = simulator.restarts()
+    # To 160 s, back to 0, and on to 120 s, which is nearer to the time before.
+    simulator.tick(2000)
+    client.whole_frame(client.send(apart_m, stamp_ns=2000 * STEP_NS))
+    simulator.tick(1)
+    client.wait(lambda: simulator.restarts() > restarts, "a new start")
+    stamp_ns = client.send(apart_m, stamp_ns=1500 * STEP_NS)
+    simulator.tick(1500)
+    client.whole_frame(stamp_ns)
+
+
 def test_a_leap_is_reported_as_one_a_return_is_a_new_start_and_silence_is_warned_of() -> None:
     parameters = {"use_sim_time": True, "diagnostics_period_s": 0.1, "input_timeout_s": 0.5}
     with free_clock(speed=1.0) as clock, sensor(**parameters, grid_spacing_m=0.0048) as (_, client):

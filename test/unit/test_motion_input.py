@@ -145,3 +145,6 @@ def test_what_was_refused_just_before_a_clock_went_back_is_done_again_once():
     acts = restart.begin(before_ns=SECOND, now_ns=0, now_s=0.9 + EARLY_S)
     assert [act() for act in acts] == ["early"]
     assert restart.begin(before_ns=SECOND, now_ns=0, now_s=1.0) == []
+    restart.hold(lambda: "ahead", 2.0)
+    assert [act() for act in restart.early(2.1)] == ["ahead"]
+    assert restart.early(2.1) == []

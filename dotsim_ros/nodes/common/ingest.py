@@ -49,7 +49,8 @@ class TimeRestart:
     """Tells, after a clock has gone back, what was sent before from what is of the new time.
 
     Topics have no common order: a message of the old time may come after the clock's jump, and one
-    of the new time before it, where it is refused as out of order.
+    of the new time before it, where it is refused as out of order. So may one that comes before the
+    clock leaps on towards the time before.
     """
 
     def __init__(self) -> None:
@@ -61,9 +62,12 @@ class TimeRestart:
         self._early.append((now_s, act))
 
     def begin(self, *, before_ns: int, now_ns: int, now_s: float) -> list[Callable[[], object]]:
-        """Note that the clock has gone back; return what was refused just before, to be done
-        again."""
+        """Note that the clock has gone back; return as `early`."""
         self._before_ns, self._midway_ns = before_ns, (before_ns + now_ns) // 2
+        return self.early(now_s)
+
+    def early(self, now_s: float) -> list[Callable[[], object]]:
+        """Return what was refused just before the clock jumped, to be done again."""
         acts = [act for held_s, act in self._early if now_s - held_s < EARLY_S]
         self._early.clear()
         return acts

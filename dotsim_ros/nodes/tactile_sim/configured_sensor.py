@@ -354,6 +354,8 @@ class ConfiguredSensor:
                 self._motions.take()
                 self._session.restart()
                 self._input.restart(before_ns=jump.before_ns)
+            else:
+                self._input.leap()
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         with self._lock:

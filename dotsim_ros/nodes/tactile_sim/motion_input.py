@@ -222,6 +222,11 @@ class MotionInput:
         if self._transforms is not None:
             self.guard(self._transforms.pass_on)
 
+    def leap(self) -> None:
+        """Take what came before the clock that has leapt forward to it."""
+        for act in self._time_restart.early(time.monotonic()):
+            self.guard(act)
+
     def configure(self, parameters: TactileSimParameters) -> None:
         """Take changed limits."""
         with self._lock:
