@@ -20,7 +20,7 @@ PLACES = 4
 """Looked at on the way to a pose, the last one included."""
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _nearest_on_way(
     point: wp.array(dtype=wp.vec3),
     field: wp.array(dtype=IndenterField),

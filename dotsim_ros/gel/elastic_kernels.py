@@ -115,7 +115,7 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
         volume = (c[4] * (scalar(2.0) * j - scalar(1.0)) * j * q) * g + (c[4] * jm * j) * dg
         return fast * result + volume
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", enable_backward=False)
     def internal_force(
         particle: wp.array(dtype=wp.int32),
         node_index: wp.array2d(dtype=wp.int32),
@@ -144,7 +144,7 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
             psi = scalar(wp.inf)
         energy[e, i] = v * psi
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", enable_backward=False)
     def stress_tangent(
         cell: wp.array(dtype=wp.int32),
         cell_particle: wp.array2d(dtype=wp.int32),
@@ -190,7 +190,7 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
                     for j in range(3):
                         contracted[n, i, 3 * q + j, 27 * k + b] = y[i, j]
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", enable_backward=False)
     def scatter_stiffness(
         cell_stiffness: wp.array4d(dtype=scalar),
         base: wp.array3d(dtype=wp.int32),

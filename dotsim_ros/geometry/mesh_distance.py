@@ -23,7 +23,7 @@ from dotsim_ros.io.warp_runtime import wp
 MILLIMETRES_PER_METRE = 1000.0
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _signed_distance(
     mesh: wp.uint64,
     points: wp.array(dtype=wp.vec3),
@@ -39,7 +39,7 @@ def _signed_distance(
         distance[i] = farthest
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _distance(
     mesh: wp.uint64,
     points: wp.array(dtype=wp.vec3),

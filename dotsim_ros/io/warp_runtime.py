@@ -28,7 +28,7 @@ from dotsim_ros.io.progress import say_first_time
 
 __all__ = ["DeviceError", "known_device", "on_torch_stream", "say_if_kernels_compile", "wp"]
 
-COMPILE_S = 20.0
+COMPILE_S = 12.0
 """Seconds that the kernels of one sensor take to compile on two cores."""
 
 Method = TypeVar("Method", bound=Callable[..., Any])

@@ -99,7 +99,7 @@ print("done")
         said = first.stderr.readline()
         first.kill()
     assert said == (
-        "dotsim_ros: compiling the kernels for the first time, about 20 s; the result is kept\n"
+        "dotsim_ros: compiling the kernels for the first time, about 12 s; the result is kept\n"
     )
 
 

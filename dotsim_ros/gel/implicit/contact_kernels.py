@@ -92,7 +92,7 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
             return scalar(0.0)
         return law.stiffness * wp.min(depth / law.smoothing, scalar(1.0))
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", enable_backward=False)
     def contact_response(
         markers: Markers,
         indenter: PlacedIndenter,
@@ -148,7 +148,7 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         response.energy[i] = psi
         response.stiffness[i] = rotation * h * wp.transpose(rotation)
 
-    @wp.kernel(module="unique")
+    @wp.kernel(module="unique", enable_backward=False)
     def coulomb_response(
         markers: Markers,
         indenter: PlacedIndenter,

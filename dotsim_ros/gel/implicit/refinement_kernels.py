@@ -11,7 +11,7 @@ from typing import Any
 from dotsim_ros.io.warp_runtime import wp
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def add_columns(
     node: wp.array(dtype=wp.int32),
     force: wp.array(dtype=wp.vec3),
@@ -27,7 +27,7 @@ def add_columns(
         wp.atomic_add(displacement, index[k], wp.transpose(block[k]) * force[i])
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def gather_between(
     node: wp.array(dtype=wp.int32),
     number: wp.array(dtype=wp.int32),
