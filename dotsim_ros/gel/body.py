@@ -74,11 +74,10 @@ class Dome:
         return np.array([[-r, -r, 0.0], [r, r, r]])
 
     def contains(self, points_m: FloatArray) -> NDArray[np.bool_]:
-        squared = np.sum(points_m**2, axis=-1)
+        x, y, z = np.moveaxis(points_m, -1, 0)
+        squared = x * x + y * y + z * z
         return np.asarray(
-            (squared <= self.outer_radius_m**2)
-            & (squared >= self.core_radius_m**2)
-            & (points_m[..., 2] >= 0.0)
+            (squared <= self.outer_radius_m**2) & (squared >= self.core_radius_m**2) & (z >= 0.0)
         )
 
     def bonded_surface(self, spacing_m: float) -> tuple[FloatArray, FloatArray]:

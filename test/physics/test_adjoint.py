@@ -379,7 +379,8 @@ def test_the_tables_of_a_refined_contact_have_their_part_in_the_derivative_by_po
 ) -> None:
     monkeypatch.setenv("DOTSIM_ROS_CACHE", str(tmp_path))
     case = replace(SLIDING, path=PRESS, solver=replace(SLIDING.solver, refined=True))
-    check(case, {"indenter.0": 1e-6, "twist.2": 2e-7})
+    # Tables in single precision leave a noise in the loss, so that the steps are long.
+    check(case, {"indenter.0": 4e-6, "twist.2": 8e-7})
     gel, recorder, gradient = recorded(case)
     complete = trajectory_gradient(
         gel, recorder.trajectories[0], weights(case), by_poisson=poisson_rate(gel)

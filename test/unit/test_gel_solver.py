@@ -52,6 +52,20 @@ def test_block_cholesky_agrees_with_scipy(shape: tuple[int, int, int], columns: 
     assert found == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.parametrize(("forced_line", "wanted_line"), [(10, 7), (2, 9)])
+def test_block_cholesky_gives_the_rows_that_are_wanted(forced_line: int, wanted_line: int) -> None:
+    matrix, cell = random_grid((2, 14, 2))
+    line = cell[:, 1] - cell[:, 1].min()
+    forced = degrees_of_freedom(np.flatnonzero(line == forced_line))
+    wanted = degrees_of_freedom(np.flatnonzero(line >= wanted_line))
+    right = np.zeros((matrix.shape[0], len(forced)))
+    right[forced, np.arange(len(forced))] = 1.0
+    factor = BlockCholesky(matrix, cell)
+    found = factor.solve(right, wanted)
+    assert found[wanted] == pytest.approx(factor.solve(right)[wanted], abs=1e-15)
+    assert not found[line.repeat(3) < wanted_line - 2].any()  # nor is the rest computed
+
+
 def test_block_cholesky_refuses_an_indefinite_matrix() -> None:
     matrix, cell = random_grid((6, 2, 2))
     with pytest.raises(np.linalg.LinAlgError):

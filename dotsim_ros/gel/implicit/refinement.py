@@ -11,7 +11,7 @@ pairs of nodes near each other, and cached on disk; it scales as 1/E.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from dotsim_ros.gel.discretization import Discretization, discretize, images_of_
 from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.refinement_kernels import add_columns, gather_between
+from dotsim_ros.gel.implicit.tangent import degrees_of_freedom
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
 from dotsim_ros.io.arrays import Float32Array, FloatArray, IndexArray
 from dotsim_ros.io.cache import GEL, content_key, keep_table, load_arrays, tell_broken
@@ -183,7 +184,8 @@ def refine(
         fine = discretize(body, skin_position_m, coarse.spacing_m / 2.0)
         table = _compute(body, fine, coarse, coarse_compliance() * youngs, law, progress)
         _store(path, table)
-    return replace(table, block=table.block / np.float32(youngs))
+    np.divide(table.block, np.float32(youngs), out=table.block)
+    return table
 
 
 def _compute(
@@ -215,30 +217,34 @@ def _compute(
             for s in body.symmetries
         ]
     )
-    leader = images.min(axis=0)
+    # Of its images a node in the last slab leads: a solve begins at the first slab with a force.
+    rank = np.argsort(np.argsort(cell[:, factor.axis], kind="stable"))
+    leader = images[rank[images].argmax(axis=0), np.arange(len(nodes))]
     leaders = np.flatnonzero(leader == np.arange(len(nodes)))
+    leaders = leaders[np.argsort(rank[leaders])]
     tree = cKDTree(fine.node_position_m[nodes])
     neighbours: list[IndexArray] = [np.zeros(0, dtype=np.int32)] * len(nodes)
     blocks: list[Float32Array] = [np.zeros((0, 3, 3), dtype=np.float32)] * len(nodes)
     batch = 64
-    surface = (3 * nodes[:, None] + np.arange(3)).ravel()
     spread = sparse.kron(insertion, sparse.eye(3, dtype=np.float32), format="csr")
     for first in range(0, len(leaders), batch):
         group = leaders[first : first + batch]
-        dof = (3 * nodes[group][:, None] + np.arange(3)).ravel()
-        right = np.zeros((3 * fine.node_count, len(dof)), dtype=np.float32)
-        right[dof, np.arange(len(dof))] = 1.0
-        local = (3 * group[:, None] + np.arange(3)).ravel()
-        column = factor.solve(right)[surface] - spread @ (
-            coarse_compliance @ spread[local].T.toarray()
-        )
-        column = column.reshape(len(nodes), 3, len(group), 3)
-        for position, leading in enumerate(group):
-            near = np.array(
-                tree.query_ball_point(fine.node_position_m[nodes[leading]], REACH_M), dtype=np.int32
-            )
+        reached = [
+            np.array(near, dtype=np.int32)
+            for near in tree.query_ball_point(fine.node_position_m[nodes[group]], REACH_M)
+        ]
+        rows = np.unique(np.concatenate(reached))
+        forced, needed = degrees_of_freedom(nodes[group]), degrees_of_freedom(nodes[rows])
+        right = np.zeros((3 * fine.node_count, len(forced)), dtype=np.float32)
+        right[forced, np.arange(len(forced))] = 1.0
+        # The coarse compliance is symmetric.
+        coarse_column = (spread[degrees_of_freedom(group.astype(np.int32))] @ coarse_compliance).T
+        column = factor.solve(right, needed)[needed]
+        column -= spread[degrees_of_freedom(rows)] @ coarse_column
+        column = column.reshape(len(rows), 3, len(group), 3)
+        for position, (leading, near) in enumerate(zip(group, reached, strict=True)):
             # Rows of dG: block (leading, near) is the transpose of block (near, leading).
-            block = column[near, :, position, :].transpose(0, 2, 1)
+            block = column[np.searchsorted(rows, near), :, position, :].transpose(0, 2, 1)
             for symmetry, image in zip(body.symmetries.astype(np.float32), images, strict=True):
                 neighbours[image[leading]] = image[near].astype(np.int32)
                 blocks[image[leading]] = symmetry @ block @ symmetry.T

@@ -68,4 +68,5 @@ def kept_inverse(
         unit = ElasticBody(grid, NeoHookean(1.0, 0.5 - youngs / (6.0 * bulk)), dtype=np.float32)
         stored = {"compliance": invert(unit)}
         keep_table(path, stored)
-    return np.asarray(stored["compliance"] / np.float32(youngs), dtype=np.float32)
+    compliance = np.asarray(stored["compliance"], dtype=np.float32)
+    return np.divide(compliance, np.float32(youngs), out=compliance)
