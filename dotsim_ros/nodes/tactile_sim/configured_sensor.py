@@ -11,8 +11,10 @@ it is free, see `optics.bands`.
 
 from __future__ import annotations
 
+import ctypes
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -102,6 +104,7 @@ class ConfiguredSensor:
         )
         node.get_logger().info("warming up: the first start compiles the kernels")
         self._warm_up_s = self._session.warm_up()
+        _give_back_memory()
         self._profile = make_active_profile(
             ladder,
             self._sensor,
@@ -412,6 +415,13 @@ class ConfiguredSensor:
             if has_new_rate:
                 self._start_pace()
                 self._session.first_dt_s = 1.0 / changed.time.rate_hz
+
+
+def _give_back_memory() -> None:
+    """Give what is free back to the system: to compute the gel's tables takes some times their
+    size, and glibc keeps that for the process, as long as a node runs."""
+    with suppress(AttributeError, OSError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _answered(response: Any, message: str, *, success: bool = True) -> Any:
