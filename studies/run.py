@@ -72,7 +72,7 @@ class Study:
 
     Attributes:
         minutes: that it takes, roughly, on two slow cores.
-        function: `module:function` below `studies`; it takes keywords alone and returns figures.
+        function: `module:function` below `studies`; it returns figures.
         options: of the function, for the record, where its defaults are others.
         before: commands that make what the record needs, below out/; not run for options.
         command: makes the record in place of a function, as it is given with `--json FILE`.
@@ -215,6 +215,7 @@ STUDIES: dict[str, Study] = {
         {"clock": "realtime", "settings": ("simulated", "transferred")},
     ),
     "tumour": Study(40, "tumour.study:tumour"),
+    "unit": Study(10, "hidden.asked:unit", in_all=False),
 }
 
 

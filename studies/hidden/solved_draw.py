@@ -23,6 +23,7 @@ from dotsim_ros.gel.values import values_of
 from dotsim_ros.specification import SensorSpecification
 
 NULL, SINGLE, PAIR, OUTSIDE = "null", "single", "pair", "outside"
+NOTHING = "nothing"
 COMPOSITION = {NULL: 10, SINGLE: 14, PAIR: 4, OUTSIDE: 4}
 """Sets of each kind, of 32."""
 HALVES = ("development", "opened")
@@ -82,12 +83,17 @@ LAWS: Mapping[str, SolvedLaw] = {
         SolvedLaw("stiff_inclusion", 2.5e-3, 3.5e-3, "m"),
         SolvedLaw("stiff_outer_layer", 1.6, 2.5, "times"),
         SolvedLaw("uneven_cure", 1.4, 2.0, "times"),
+        SolvedLaw("late", 0.03, 0.08, "s", "latency"),
+        SolvedLaw("mounted_off", 0.2e-3, 0.4e-3, "m", "pose_offset"),
     )
 }
 """`two_branches` relax in 0.6 and 3 s, the first with 60 % of the share; `slipping_core` is the
 half angle about the apex within which the gel slides on its core; `stiff_inclusion` the radius of a
-ball ten times as stiff; `uneven_cure` how much stiffer one side is."""
-KNOWN = tuple(name for name, law in LAWS.items() if law.library)
+ball ten times as stiff; `uneven_cure` how much stiffer one side is. Poses are `late`, or the sensor
+is `mounted_off` along +z."""
+OF_ROBOT = ("late", "mounted_off")
+"""Laws that a series has only where it is asked for them."""
+KNOWN = tuple(name for name, law in LAWS.items() if law.library and name not in OF_ROBOT)
 UNKNOWN = tuple(name for name, law in LAWS.items() if not law.library)
 
 
@@ -190,23 +196,35 @@ def _against_twin(
         return (1.0 + own.thickness_share) * (1.0 - size) - 1.0
     if law.name == "compressible":
         return float(np.log((0.5 - size) / (0.5 - values_of(sensor).poisson_ratio)))
+    if law.name == "late":
+        return size + own.clock_s
+    if law.name == "mounted_off":
+        return size - own.pose_bias_m[2]
     # Ogden's law is not Yeoh's, and two branches are not one: no parameter makes them alike.
     return size if law.name == "soft_base" else None
 
 
-def draw_series(sensor: SensorSpecification, count: int, seed: int) -> list[SolvedUnit]:
+def draw_series(
+    sensor: SensorSpecification, count: int, seed: int, hidden: tuple[str, ...] = ()
+) -> list[SolvedUnit]:
     """Return the units of a series, in the order in which they are made.
 
     Args:
         sensor: as declared.
         count: how many.
         seed: of everything.
+        hidden: names of laws, or `NOTHING`, of each unit; empty to draw them too.
 
     Raises:
-        ValueError: a count that is not positive.
+        ValueError: a count that is not positive, or names that are not these.
     """
+    if hidden != (NOTHING,) and (unknown := sorted({*hidden} - {*LAWS})):
+        raise ValueError(
+            f"nothing called {', '.join(unknown)} can be hidden; choose of {', '.join(LAWS)}, or "
+            f"{NOTHING} alone"
+        )
     random = np.random.default_rng([seed, 0])
-    kinds = _kinds(count, random)
+    kinds = [_kind_of(hidden)] * count if hidden else _kinds(count, random)
     singles = random.permutation(np.array(KNOWN)).tolist()
     pairs = [(a, b) for i, a in enumerate(KNOWN) for b in KNOWN[i + 1 :]]
     chosen_pairs = [pairs[k] for k in random.permutation(len(pairs)).tolist()]
@@ -226,6 +244,8 @@ def draw_series(sensor: SensorSpecification, count: int, seed: int) -> list[Solv
             names = chosen_pairs[place % len(chosen_pairs)]
         elif kind == OUTSIDE:
             names = (outside[place % len(outside)],)
+        if hidden:
+            names = tuple(name for name in hidden if name != NOTHING)
         shift = rounds if kind in (SINGLE, OUTSIDE) else 0
         half = HALVES[(place + shift + first_half[kind]) % 2]
         own = np.random.default_rng([seed, 1, number])
@@ -280,6 +300,15 @@ def commissioning_unit(sensor: SensorSpecification, seed: int, mesh: int) -> Sol
         contact_stiffness=float(own.uniform(*CONTACT_STIFFNESS)),
     )
     return SolvedUnit(COMMISSIONING, NULL, HALVES[0], (seed, number), (), (), constants)
+
+
+def _kind_of(hidden: tuple[str, ...]) -> str:
+    """Return the kind of a set in which these are hidden."""
+    if hidden == (NOTHING,):
+        return NULL
+    if not all(LAWS[name].library for name in hidden):
+        return OUTSIDE
+    return SINGLE if len(hidden) == 1 else PAIR
 
 
 def _kinds(count: int, random: Generator) -> list[str]:

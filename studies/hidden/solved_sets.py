@@ -87,6 +87,7 @@ class SeriesPlan:
         seed: of everything.
         trajectories: names of those that each set has; empty for all.
         coarseness: elements are so many times as large as the units'; 1 but for quick tests.
+        hidden: what is wrong with each unit; empty where it is drawn.
 
     Raises:
         ValueError: one of them is out of range.
@@ -97,6 +98,7 @@ class SeriesPlan:
     seed: int
     trajectories: tuple[str, ...] = ()
     coarseness: float = 1.0
+    hidden: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name, low, high in (("count", 1, 1000), ("seed", 0, None), ("coarseness", 1, 2)):
@@ -114,7 +116,12 @@ class SeriesPlan:
             "sensor": self.sensor.name,
             "trajectories": list(self.trajectories),
             "coarseness": self.coarseness,
+            **({"hidden": list(self.hidden)} if self.hidden else {}),
         }
+
+    def units(self) -> list[SolvedUnit]:
+        """Return the unit of each set."""
+        return draw_series(self.sensor, self.count, self.seed, self.hidden)
 
 
 @dataclass(frozen=True)
@@ -147,6 +154,7 @@ def hide(
     trajectories: tuple[str, ...] = (),
     retry: bool = False,
     coarseness: float = 1.0,
+    hidden: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Make data sets with hidden effects that CalculiX solves, for the gap finder.
 
@@ -158,11 +166,13 @@ def hide(
         trajectories: which of each set (all).
         retry: whether trajectories that failed before are tried again.
         coarseness: factor on the size of elements, for a quick look.
+        hidden: names of what is wrong with each set, or `nothing`, in place of what the seed draws;
+            without the unit as declared.
 
     Raises:
         CalculixMissingError, OSError, ValueError: as `SeriesPlan` and `make_sets`.
     """
-    plan = SeriesPlan(load_sensor(sensor), count, seed, trajectories, coarseness)
+    plan = SeriesPlan(load_sensor(sensor), count, seed, trajectories, coarseness, hidden)
     make_sets(out, plan, failed_again=retry)
     index, records = read_series(out)
     made = {record.name: record.made for record in records}
@@ -198,24 +208,18 @@ def make_sets(directory: Path, plan: SeriesPlan, *, failed_again: bool = False) 
             another run is filling.
     """
     version = calculix_version()
-    units = draw_series(plan.sensor, plan.count, plan.seed)
+    units = plan.units()
     index = _begin(directory, plan, units, version)
     with _alone(directory):
-        commissioned: dict[str, Any] = index.setdefault(COMMISSIONING, {"made": [], "failures": {}})
         if failed_again:
-            commissioned["failures"] = {}
+            for of_unit in (index[COMMISSIONING],) if COMMISSIONING in index else ():
+                of_unit["failures"] = {}
             for record in index["sets"]:
                 record["ready"] = record["ready"] and not record["failures"]
                 record["failures"] = {}
         save = partial(write_json, directory / INDEX, index)
-        declared = [
-            commissioning_unit(plan.sensor, plan.seed, mesh) for mesh in range(COMMISSIONED)
-        ]
-        # The meshes differ in nothing else that the truth says.
-        write_text(directory / COMMISSIONING / TRUTH, declared[0].sealed())
-        for mesh, unit in enumerate(declared):
-            _make_set(directory, plan, unit, _repeated(plan, unit, mesh), commissioned, save)
-        print(f"{COMMISSIONING}: ready")
+        if not plan.hidden:
+            _commission(directory, plan, index, save)
         for unit, record in zip(units, index["sets"], strict=True):
             if record["ready"]:
                 print(f"{unit.name}: there already")
@@ -226,6 +230,19 @@ def make_sets(directory: Path, plan: SeriesPlan, *, failed_again: bool = False) 
             save()
             ready = sum(entry["ready"] for entry in index["sets"])
             print(f"{unit.name}: ready, {ready} of {len(units)}")
+
+
+def _commission(
+    directory: Path, plan: SeriesPlan, index: dict[str, Any], save: Callable[[], None]
+) -> None:
+    """Make the trajectories of the unit as declared that are missing."""
+    record = index.setdefault(COMMISSIONING, {"made": [], "failures": {}})
+    declared = [commissioning_unit(plan.sensor, plan.seed, mesh) for mesh in range(COMMISSIONED)]
+    # The meshes differ in nothing else that the truth says.
+    write_text(directory / COMMISSIONING / TRUTH, declared[0].sealed())
+    for mesh, unit in enumerate(declared):
+        _make_set(directory, plan, unit, _repeated(plan, unit, mesh), record, save)
+    print(f"{COMMISSIONING}: ready")
 
 
 def _repeated(plan: SeriesPlan, unit: SolvedUnit, repeat: int) -> list[Protocol]:
@@ -310,9 +327,10 @@ def _begin(
     if path.is_file():
         index = _checked_index(path)
         for key, wanted in plan.stated().items():
-            if index[key] != wanted:
+            if index.get(key) != wanted:
                 raise ValueError(
-                    f"{directory} holds sets of {key} {index[key]!r}, asked for were {wanted!r}; "
+                    f"{directory} holds sets of {key} {index.get(key)!r}, asked for were "
+                    f"{wanted!r}; "
                     "give that value to continue them, or another folder with --out"
                 )
         if index.get("calculix") != version:

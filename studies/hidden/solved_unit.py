@@ -151,7 +151,10 @@ def measured(
         OSError: it failed where its folder has no room left.
     """
     own, time_s = unit.constants, protocol.time_s
-    poses = [protocol.motion.at(float(t) - own.clock_s) for t in time_s]
+    late_s = own.clock_s + (unit.size_of("late") or 0.0)
+    raised_m = np.array([0.0, 0.0, unit.size_of("mounted_off") or 0.0])
+    poses = [protocol.motion.at(float(t) - late_s) for t in time_s]
+    poses = [Pose(pose.position_m + raised_m, pose.quaternion_xyzw) for pose in poses]
     skin_m, force_n, tries = _solved(
         unit, sensor, skin, indenter, poses, time_s, coarseness=coarseness
     )

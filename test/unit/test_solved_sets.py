@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import shutil
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,7 +23,10 @@ from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.data.scripted import Site
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.gap.ask import search_and_ask
 from dotsim_ros.gap.findings import Candidate, Findings, Verdict, as_record
+from dotsim_ros.gap.presses import questions
+from dotsim_ros.gap.presses.catalogue import Planned
 from dotsim_ros.gap.presses.covariance import load_discrepancy, save_discrepancy
 from dotsim_ros.gel.material import Yeoh
 from dotsim_ros.geometry.indenter import load_indenter
@@ -41,6 +45,7 @@ from studies.gap.solved_score import (
     score_sets,
 )
 from studies.hidden import solved_sets, solved_unit
+from studies.hidden.asked import hidden_unit
 from studies.hidden.solved_draw import (
     COMPOSITION,
     DECLARED,
@@ -404,6 +409,50 @@ def test_what_stands_in_the_way_is_named(
         SeriesPlan(SENSOR, 1, 0, coarseness=3.0)
     assert run.main(["gap_physics", "--sets", str(tmp_path / "new")]) == 1
     assert "make the sets with python -m studies hide" in capsys.readouterr().err
+
+
+@needs_calculix
+def test_a_hidden_unit_answers_what_a_search_asks_as_it_answered_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sets, hidden = tmp_path / "sets", ("late", "mounted_off")
+    made = hide(out=sets, seed=6, count=1, trajectories=(PRESS,), coarseness=1.6, hidden=hidden)
+    assert (made["sets"], made["trajectories"], made["failed"]) == (1, 1, {})
+    truth = json.loads((sets / "set_00" / "truth.json").read_text())
+    assert truth["kind"] == "pair"
+    assert tuple(effect["name"] for effect in truth["effects"]) == hidden
+
+    def as_before(*_: object) -> list[Planned]:
+        plan = SeriesPlan(SENSOR, 1, 6, (PRESS,), 1.6, hidden)
+        (one,) = solved_sets._protocols(plan, plan.units()[0])
+        poses = tuple(one.motion.at(float(t)) for t in one.time_s)
+        return [Planned("press", one.indenter, "the press of before", one.time_s, poses)]
+
+    monkeypatch.setattr(questions, "catalogue", as_before)
+    monkeypatch.setattr(questions, "LEAST_NATS", -1.0)
+    monkeypatch.setenv("PYTHONPATH", str(run.ROOT))
+    search_and_ask(
+        sets / "set_00",
+        f"{sys.executable} -m studies unit --of {sets / 'set_00'}",
+        # A refined gel needs tables for each skin: minutes.
+        sensor=replace(SENSOR, solver=replace(SENSOR.solver, refined=False, grid_spacing_m=4.8e-3)),
+        out=tmp_path / "report",
+        next_presses=1,
+        rounds=1,
+        announce=print,
+        candidates=("pose_offset",),
+        workers=1,
+    )
+    before, again = (entry.read() for entry in read_data_set(tmp_path / "report/asked").entries)
+    # The same gel, mesh, lateness and mounting; noise of its own.
+    for one, other, deviation in (
+        (again.wrench.force_n, before.wrench.force_n, solved_unit.FORCE_NOISE_N),
+        (again.skin.position_m, before.skin.position_m, solved_unit.SKIN_NOISE_M),
+        (again.pose.position_m, before.pose.position_m, solved_unit.POSE_NOISE_M),
+    ):
+        assert 0.0 < np.abs(one - other).max() < 8.0 * deviation
+    with pytest.raises(ValueError, match="is no set of its series; choose of set_00"):
+        hidden_unit(sets / "set_07")
 
 
 def test_rates_are_shares_of_each_kind() -> None:
