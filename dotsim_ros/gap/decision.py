@@ -13,12 +13,13 @@ one that gains most asks for a size beyond its plausible range, by more than the
 that are not distinguished differ: it imitates something else, unless its range, opened, holds a
 size that explains the gap and leaves nothing of the held-out trajectories in any channel, phase and
 region. Before the gap is unknown, two effects are tried that each gain more than their limits, on
-the same terms, if held-out trajectories have a clear gap. It is unknown, too, where they have one
-of which the effects close too little, and surely not all, on two of them at least. Counted as gap
-are what patterns could remove, what the effects could if their sizes in skin and force were free to
-differ, and all by which the data differ more than data without any effect. Naming the effect that
-predicts left-out trajectories best was tried on the development half of the study: it names as many
-right, and makes sets where gains do not.
+the same terms, if held-out trajectories have a clear gap; the smaller of them with those that gain
+nearly as much there. It is unknown, too, where they have one of which the effects close too little,
+and surely not all, on two of them at least. Counted as gap are what patterns could remove, what the
+effects could if their sizes in skin and force were free to differ, and all by which the data differ
+more than data without any effect. Naming the effect that predicts left-out trajectories best was
+tried on the development half of the study: it names as many right, and makes sets where gains do
+not.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from dotsim_ros.gap.presses.answer import (
     decide,
     null_gains,
     screen,
+    set_limits,
     size_beyond_range,
     sizes_by_channel,
     tried_again,
@@ -528,6 +529,34 @@ def test_two_are_named_in_place_of_one_that_fails_where_they_leave_nothing_held_
         return
     assert both is not None
     assert {entry.effect.name for entry in both.named} == {"late", "early"}
+
+
+def test_the_smaller_of_two_comes_with_what_cannot_be_distinguished_from_it(
+    change: list[np.ndarray], random: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(answer_module, "is_off", lambda search, entries: True)
+    monkeypatch.setattr(answer_module, "is_at_floor", lambda search, entries: True)
+    search, ranked = two_effects(change, random)
+    early = next(entry for entry in ranked if entry.effect.name == "early")
+    full = [one + 0.1 * random.standard_normal(SHAPE) for one in early.variants[0].change[1]]
+    echo = variant_of(full, replace(EFFECT, name="echo", title="Echo"))
+    search.case.library["echo"] = echo.effect
+    ranked = screen(search, [*(entry.variants[0] for entry in ranked), echo])
+    set_limits(search, ranked, np.full(NULLS, 1.0))
+    search.held_out = [0]
+    both = answer_module.pair_instead(search, ranked)
+    assert both is not None
+    assert both.verdict is Verdict.SET
+    smaller, larger = both.named
+    assert larger.effect.name == "late"
+    assert {smaller.effect.name, both.alternatives[0].effect.name} == {"early", "echo"}
+    # Each of the two takes repetitions from the other.
+    assert both.stability == 1.0
+    assert stability_of(search, ranked, both.named) < 0.9
+    sentence = wording.missing(
+        [(entry.effect, ()) for entry in both.named], [echo.effect], [], is_held_out=True
+    )
+    assert sentence.endswith("The data do not distinguish late from: Echo.")
 
 
 def test_an_answer_hangs_on_the_one_trajectory_that_shows_it(

@@ -270,14 +270,18 @@ def tried_again(search: Search, ranked: Sequence[Ranked]) -> list[Ranked]:
 def pair_instead(search: Search, ranked: Sequence[Ranked]) -> Decision | None:
     """Return two effects to name where a single one fails a check, None where no two do: next to
     each other each gains more than its limit, both explain the gap, most repetitions ask for them,
-    and they leave nothing of a gap that held-out trajectories have."""
-    pair = best_pair(search, ranked, other_law=0.0) if search.held_out else None
+    and they leave nothing of a gap that held-out trajectories have. The smaller one comes first,
+    with those that are not distinguished from it there."""
+    pair = possible_pair(search, ranked) if search.held_out else None
     if pair is None:
         return None
-    stability = stability_of(search, ranked, pair)
+    rivals = rivals_beside(search, ranked, pair)
+    stability = stability_of(search, ranked, pair, rivals)
     if stability < decision.LIKELY:
         return None
     both = _two(search, pair, stability)
+    if both.named and rivals:
+        both = replace(both, verdict=Verdict.SET, alternatives=tuple(rivals))
     # Where there is no gap, two more effects leave none either.
     is_shown = both.named and is_off(search, pair) and is_at_floor(search, pair)
     return both if is_shown else None
@@ -454,15 +458,38 @@ def best_pair(
     return best if is_needed else None
 
 
+def possible_pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
+    """Return the two effects that gain most together, each more than its limit, the one that gains
+    less first; None where there are none."""
+    pair = best_pair(search, ranked, other_law=0.0)
+    return None if pair is None else sorted(pair, key=lambda entry: entry.trial.gain)
+
+
+def rivals_beside(search: Search, ranked: Sequence[Ranked], pair: Sequence[Ranked]) -> list[Ranked]:
+    """Return the effects past their limits that gain as much as the first of a pair next to the
+    second, as they do there, the best first."""
+    first, second = pair
+    taken = {first.effect.name, second.effect.name}
+    others = [entry for entry in ranked if entry.effect.name not in taken]
+    least = first.trial.gain - decision.SAME
+    tried = _all_beside(search, second, others)
+    return [e for e in tried if e.is_past_limit and e.trial.gain > least]
+
+
 def _beside(search: Search, known: Ranked, others: Sequence[Ranked]) -> Ranked:
     """Return that of the others which gains most next to a known effect, as it does there."""
+    return _all_beside(search, known, others)[0]
+
+
+def _all_beside(search: Search, known: Ranked, others: Sequence[Ranked]) -> list[Ranked]:
+    """Return others as they are next to a known effect, the one that gains most first."""
     evidence = search.evidence.without(known.trial.change)
     base = fit_nuisances(evidence).objective
     tried = [
         replace(entry, trial=best_trial(evidence, search.segments(entry.variants), base))
         for entry in others
     ]
-    return max(tried, key=lambda entry: entry.trial.gain)
+    return sorted(tried, key=lambda entry: entry.trial.gain, reverse=True)
 
 
 def _held_out_gain(search: Search, entry: Ranked) -> float:

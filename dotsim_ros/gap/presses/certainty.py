@@ -128,7 +128,9 @@ def stability_of(
     Of the effects past their limits the one that gains most is the one that is named, or one of
     the set; of two named, each is that next to the other.
     """
-    contest = [*ranked[:SHOWN], *(e for e in named if e.effect.name not in _names(ranked[:SHOWN]))]
+    shown = _names(ranked[:SHOWN])
+    answers = [entry for entry in (*named, *alternatives) if entry.effect.name not in shown]
+    contest = [*ranked[:SHOWN], *answers]
     segments: list[Segment] = []
     owners: list[Ranked] = []
     for entry in contest:

@@ -184,13 +184,17 @@ def _hinges(search: Search, ranked: Sequence[Ranked], decided: Decision) -> list
         other, _ = _confirmed(part, again, decide(part, again))
         if is_other_answer(decided, other):
             name = search.case.trajectories[number].recording.name
-            effects = [e.effect for e in (*other.named, *other.alternatives)]
-            others[name] = effects, len(other.named) > 1
+            are_two = len(other.named) > 1
+            answer = other.named if are_two else (*other.named, *other.alternatives)
+            others[name] = [entry.effect for entry in answer], are_two
     return [wording.hinges(others)] if others else []
 
 
 def is_other_answer(decided: Decision, other: Decision) -> bool:
-    """Return whether two decisions name other effects; of sets, whether no effect is in both."""
+    """Return whether two decisions name other effects, or another number of them; of sets, whether
+    no effect is in both."""
+    if len(decided.named) != len(other.named):
+        return True
     names, others = (
         {e.effect.name for e in (*one.named, *one.alternatives)} for one in (decided, other)
     )

@@ -25,7 +25,12 @@ from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.simulate import EffectRequest
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Explanation, Findings, Question, Verdict
-from dotsim_ros.gap.presses.answer import SearchAnswer, best_pair, close_to_best
+from dotsim_ros.gap.presses.answer import (
+    SearchAnswer,
+    close_to_best,
+    possible_pair,
+    rivals_beside,
+)
 from dotsim_ros.gap.presses.catalogue import Planned, catalogue
 from dotsim_ros.gap.presses.certainty import SHOWN
 from dotsim_ros.gap.presses.evidence import Case, make_case, observed_of
@@ -147,8 +152,11 @@ def _seconds(planned: Planned) -> float:
 def _possible(search: Search, ranked: list[Ranked]) -> list[Possible]:
     """Return what may explain the data."""
     singles = [e for e in close_to_best(ranked)[:SHOWN] if e.trial.change.any()]
-    pair = best_pair(search, ranked)
-    pairs = [] if pair is None else [tuple(pair)]
+    pair = possible_pair(search, ranked)
+    pairs = []
+    if pair is not None:
+        seconds = [pair[0], *rivals_beside(search, ranked, pair)[: SHOWN - 1]]
+        pairs = [(pair[1], second) for second in seconds]
     found = [Possible(NO_GAP, "no gap")]
     for entries in (*((entry,) for entry in singles), *pairs):
         effects = [entry.effect for entry in entries]

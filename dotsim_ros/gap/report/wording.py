@@ -181,7 +181,7 @@ def missing(
     closing = "; ".join(f"{gap.channel} {_closing(gap, gap.unit)}" for gap in gaps)
     where = "held-out gap" if is_held_out else "gap of the data searched, none being held out"
     text += f"; {where}: {closing}." if closing else "."
-    return text + _not_distinguished("data", alternatives)
+    return text + _not_distinguished("data", named, alternatives)
 
 
 def hinges(others: Mapping[str, tuple[Sequence[Effect], bool]]) -> str:
@@ -232,7 +232,7 @@ def missing_in_images(named: Named, alternatives: Sequence[Effect], gap: Channel
     )
     return (
         f"Images: {text}; gap of the colours: {_closing(gap, 'grey levels')}."
-        f"{_not_distinguished('images', alternatives)}"
+        f"{_not_distinguished('images', named, alternatives)}"
     )
 
 
@@ -240,9 +240,12 @@ def _closing(gap: ChannelGap, unit: str) -> str:
     return f"{gap.recalibrated:.3g} -> {gap.after:.3g} {unit} (floor {gap.floor:.2g})"
 
 
-def _not_distinguished(data: str, alternatives: Sequence[Effect]) -> str:
+def _not_distinguished(data: str, named: Named, alternatives: Sequence[Effect]) -> str:
+    if not alternatives:
+        return ""
+    first = "it" if len(named) == 1 else amid(named[0][0].title)
     others = ", ".join(effect.title for effect in alternatives)
-    return f" The {data} do not distinguish it from: {others}." if others else ""
+    return f" The {data} do not distinguish {first} from: {others}."
 
 
 def _unit(parameter: EffectParameter | Estimate) -> str:
