@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from dotsim_ros.data.scripted import Site
 from dotsim_ros.gel.make import law_of
@@ -45,6 +46,10 @@ class ReferenceSettings:
         control: of the increments of moves along the indenter's axis.
         drag_control: of moves across it and of turns, where much of the contact begins to slip at
             once.
+        drag_increment_m: the indenter moves at most so far across its axis, or turns so far at half
+            the radius of the place, in an increment. CalculiX keeps for all of it the face that
+            was opposite in its beginning: after a move by s the pressure of a ball of radius R
+            leans by s / R against the way, as if there were so much more friction.
         growth: largest ratio of the sizes of two neighbouring elements.
     """
 
@@ -55,7 +60,18 @@ class ReferenceSettings:
     drag_control: StepControl = field(
         default_factory=lambda: StepControl(first=0.1, smallest=1e-4, largest=0.5)
     )
+    drag_increment_m: float = 50e-6
     growth: float = GROWTH
+
+    def control_of(self, start: Pose, end: Pose, radius_m: float) -> StepControl:
+        """Return the increments of a step between two poses, on a place of a radius."""
+        move = end.position_m - start.position_m
+        along = float(move @ end.rotation()[:, 2])
+        turn = Rotation.from_matrix(end.rotation() @ start.rotation().T).magnitude()
+        across = math.sqrt(max(0.0, float(move @ move) - along**2)) + 0.5 * radius_m * float(turn)
+        control = self.drag_control if across > abs(along) else self.control
+        largest = min(control.largest, self.drag_increment_m / max(across, 1e-12))
+        return replace(control, first=min(control.first, largest), largest=largest)
 
 
 def press_poses(
@@ -124,12 +140,7 @@ def reference_deck(
         [np.linalg.norm(pose.apply(surface.vertices_m), axis=1) for pose in poses], axis=0
     )
     surface = near_part(surface, clearance < gel.outer_radius_m + settings.reach_m)
-    controls = []
-    for start, end in pairwise(poses):
-        move = end.position_m - start.position_m
-        along = abs(float(move @ end.rotation()[:, 2]))
-        is_drag = along <= 0.5 * float(np.linalg.norm(move))
-        controls.append(settings.drag_control if is_drag else settings.control)
+    controls = [settings.control_of(*way, place.radius_m) for way in pairwise(poses)]
     return Deck(
         mesh,
         surface,

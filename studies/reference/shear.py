@@ -81,10 +81,10 @@ MOTIONS: dict[str, Sequence[Knot]] = {
         (4, 0.75, 0, 0.1, 0),
     ],
     "drag": [
-        (0, -1.5, 0, AIR, 0),
-        (3, -1.5, 0, DEEP, 0),
-        (4, -1.0, 0, DEEP, 0),
-        (10, 1.5, 0, DEEP, 0),
+        (0, -0.5, 0, AIR, 0),
+        (3, -0.5, 0, DEEP, 0),
+        (5, 0.75, 0, DEEP, 0),
+        (4, -0.25, 0, DEEP, 0),
     ],
     "twist": [
         (0, 0, 0, AIR, 0),
@@ -93,21 +93,22 @@ MOTIONS: dict[str, Sequence[Knot]] = {
     ],
 }
 
-
-WHOLE, SHORTER = StepControl(first=0.5), StepControl(first=0.25, largest=0.25)
-"""Increments, in shares of a frame."""
 COARSE = ReferenceSettings(
-    spacing_m=2.0e-3, growth=2.0, surface_step_m=0.3e-3, control=WHOLE, drag_control=WHOLE
+    spacing_m=2.0e-3,
+    surface_step_m=0.3e-3,
+    reach_m=0.5e-3,
+    control=StepControl(first=0.2, largest=0.4),
+    growth=2.0,
 )
 CASES: dict[str, tuple[str, ReferenceSettings]] = {
     **{motion: (motion, COARSE) for motion in MOTIONS},
     "finer_mesh": (
         "press_then_slide",
-        replace(COARSE, spacing_m=1.2e-3, surface_step_m=0.2e-3),
+        replace(COARSE, spacing_m=1.4e-3, surface_step_m=0.2e-3),
     ),
     "shorter_increments": (
         "press_then_slide",
-        replace(COARSE, control=SHORTER, drag_control=SHORTER),
+        replace(COARSE, drag_increment_m=0.5 * COARSE.drag_increment_m),
     ),
 }
 """What CalculiX solves: each motion, and one in two ways more for its own error."""
@@ -136,12 +137,7 @@ def deck_of(motion: str, settings: ReferenceSettings, skin: SkinMesh) -> Deck:
         for _, x, y, depth, turn in MOTIONS[motion]
     ]
     deck = reference_deck(SENSOR, skin, BALL, poses, settings)
-    frames = [knot[0] for knot in MOTIONS[motion][1:]]
-    controls = [
-        replace(control, first=control.first / count, largest=control.largest / count)
-        for control, count in zip(deck.controls, frames, strict=True)
-    ]
-    return replace(deck, frames=frames, controls=controls)
+    return replace(deck, frames=[knot[0] for knot in MOTIONS[motion][1:]])
 
 
 @dataclass(frozen=True)

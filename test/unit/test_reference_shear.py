@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -88,23 +89,28 @@ def test_errors_are_shares_of_the_references_own_values() -> None:
     assert found["held"]["worst"] == pytest.approx(0.5)
 
 
-def test_a_turn_is_solved_like_a_drag_with_increments_in_shares_of_a_frame() -> None:
-    drag = replace(COARSE.control, first=0.25, count=7)
-    settings = replace(COARSE, drag_control=drag)
-    deck = deck_of("twist", settings, SKIN)
-    assert [control.count for control in deck.controls] == [200] + [7] * 8
-    deck = deck_of("drag", settings, SKIN)
-    assert [control.count for control in deck.controls] == [200, 7, 7]
-    assert [control.first for control in deck.controls] == [0.5 / 3, 0.25 / 4, 0.25 / 10]
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_no_increment_moves_the_ball_far_across_its_axis(motion: str) -> None:
+    # CalculiX looks for the opposite faces once an increment, and a ball's pressure leans after it.
+    deck = deck_of(motion, COARSE, SKIN)
+    ways = list(pairwise(deck.poses))
+    across_m = np.array([np.linalg.norm((b.position_m - a.position_m)[:2]) for a, b in ways])
+    cosine = [0.5 * (np.trace(b.rotation() @ a.rotation().T) - 1.0) for a, b in ways]
+    turn_rad = np.arccos(np.clip(cosine, -1.0, 1.0))
+    largest = np.array([control.largest for control in deck.controls])
+    assert (largest * across_m <= 50e-6 * (1.0 + 1e-9)).all()
+    assert (largest * turn_rad <= np.radians(3.0)).all()
+    assert (largest[(across_m == 0.0) & (turn_rad == 0.0)] == COARSE.control.largest).all()
+    assert all(control.first <= control.largest for control in deck.controls)
 
 
 def test_frames_are_printed_where_the_indenter_is_then() -> None:
     deck = deck_of("drag", COARSE, SKIN)
     x_mm = 1e3 * np.array([pose.position_m[0] for pose in deck.frame_poses()])
-    slide = [-1.5 + 0.125 * k for k in range(1, 5)] + [-1.0 + 0.25 * k for k in range(1, 11)]
-    np.testing.assert_allclose(x_mm, [-1.5] * 4 + slide, atol=1e-9)
+    slide = [-0.5 + 0.25 * k for k in range(1, 6)] + [0.75 - 0.25 * k for k in range(1, 5)]
+    np.testing.assert_allclose(x_mm, [-0.5] * 4 + slide, atol=1e-9)
     lines = deck.text().splitlines()
-    for step, count in enumerate((3, 4, 10)):
+    for step, count in enumerate((3, 5, 4)):
         first = lines.index(f"*TIME POINTS, NAME=FRAMES{step}") + 1
         times = [float(line) for line in lines[first : first + count]]
         assert times == pytest.approx([k / count for k in range(1, count + 1)])
