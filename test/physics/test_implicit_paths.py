@@ -197,6 +197,22 @@ def test_too_deep_a_press_is_refused_and_changes_nothing(dome: ImplicitGel, dept
     assert_same(after, one(dome, towards_centre(APEX, 0.8e-3)))
 
 
+def test_a_pose_next_to_a_clear_one_is_refused_where_it_would_be_alone(dome: ImplicitGel) -> None:
+    def is_refused(depth_m: float) -> bool:
+        try:
+            dome.check_depth(towards_centre(APEX, depth_m))
+        except PressTooDeepError:
+            return True
+        return False
+
+    depths_m = np.arange(0.5e-3, 9.0e-3, 0.05e-3)
+    walked = [is_refused(depth_m) for depth_m in depths_m]
+    # From far away nothing is known of it.
+    alone = [is_refused(-0.05) or is_refused(depth_m) for depth_m in depths_m]
+    assert walked == alone
+    assert 0 < sum(walked) < len(walked)
+
+
 def test_way_through_the_core_is_refused(dome: ImplicitGel) -> None:
     dome.reset()
     one(dome, at(-25.0e-3, 0.0, 3.0e-3))

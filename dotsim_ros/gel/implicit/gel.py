@@ -116,6 +116,8 @@ SNAP = 1.5
 """Gel that moves by more than this multiple of the indenter's motion has snapped through."""
 CORE_CLEARANCE_M = 1.5e-3
 """The indenter must stay this far from whatever the gel is bonded to."""
+CLEARANCE_REACH_M = 4.0e-3
+"""What is farther away than this is not measured."""
 
 
 def rigid_points_m(body: Body) -> FloatArray:
@@ -338,6 +340,7 @@ class ImplicitGel:
             device=self.device,
         )
         self._inner_point_m = inner_point_m
+        self._cleared: tuple[Pose, float] | None = None
         self.reset()
 
     def _bonded_at_rest(self) -> Float32Array:
@@ -406,7 +409,14 @@ class ImplicitGel:
         Raises:
             PressTooDeepError: it comes too close to what the gel is bonded to.
         """
-        clearance = self._nearest_m(self._rigid, pose, CORE_CLEARANCE_M)
+        # Many poses come in a frame, and hardly differ.
+        if self._cleared is not None:
+            before, spare_m = self._cleared
+            moved_m = float(np.linalg.norm(pose.position_m - before.position_m))
+            if moved_m < spare_m and np.array_equal(pose.quaternion_xyzw, before.quaternion_xyzw):
+                return
+        clearance = self._nearest_m(self._rigid, pose, CLEARANCE_REACH_M)
+        self._cleared = (pose, min(clearance, CLEARANCE_REACH_M) - CORE_CLEARANCE_M)
         if clearance < CORE_CLEARANCE_M:
             raise PressTooDeepError(
                 f"the indenter at {np.round(pose.position_m * 1e3, 2).tolist()} mm comes within "
