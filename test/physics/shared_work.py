@@ -19,8 +19,9 @@ import pytest
 
 from dotsim_ros.data import data_set
 from dotsim_ros.gel.discretization import discretize
-from dotsim_ros.gel.implicit import gel, tangent
-from dotsim_ros.gel.implicit.tangent import inverse_of_positive
+from dotsim_ros.gel.elasticity import ElasticBody
+from dotsim_ros.gel.implicit import gel, rest_compliance, tangent
+from dotsim_ros.gel.implicit.tangent import inverse_at_rest, inverse_of_positive
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.io.cache import content_key
 
@@ -65,6 +66,10 @@ def share(patch: pytest.MonkeyPatch) -> None:
         inverse.flags.writeable = False
         return inverse
 
+    def own_inverse(body: ElasticBody) -> np.ndarray:
+        # Who keeps a table scales it in place.
+        return inverse_at_rest(body).copy()
+
     def kept_indenter(path: Path | str, folder: Path | None = None) -> Indenter:
         if isinstance(path, str):
             return load_indenter(path, folder=folder)
@@ -74,4 +79,5 @@ def share(patch: pytest.MonkeyPatch) -> None:
 
     patch.setattr(gel, "discretize", kept_grid)
     patch.setattr(tangent, "inverse_of_positive", kept_inverse)
+    patch.setattr(rest_compliance, "inverse_at_rest", own_inverse)
     patch.setattr(data_set, "load_indenter", kept_indenter)
