@@ -133,7 +133,7 @@ def closed_surface(
     if len(mesh.faces) == 0:
         raise ValueError(f"{place}: every triangle of the mesh is empty")
     if not mesh.is_watertight:
-        raise ValueError(f"{place}: the mesh is not closed ({_open_edges(mesh)})")
+        raise ValueError(f"{place}: the mesh is not closed ({_open_edges(mesh)}")
     trimesh.repair.fix_winding(mesh)
     surface = np.asarray(mesh.vertices, dtype=np.float64), _turned_outwards(mesh, place)
     # A surface of one side, such as Klein's bottle, cannot be wound one way.

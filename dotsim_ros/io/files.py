@@ -96,9 +96,10 @@ def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
     # Launch files look for files by this module, in an interpreter that may lack OpenCV.
     import cv2
 
+    encoded = cv2.imencode(Path(path).suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]
     with whole_file(path) as part:
-        if not cv2.imwrite(str(part), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
-            raise OSError(f"{path} could not be written")
+        # OpenCV would write it itself, but not say why it could not.
+        part.write_bytes(encoded.tobytes())
 
 
 def beside(path: str | Path, ending: str, *, replaces: tuple[str, ...]) -> Path:
