@@ -167,7 +167,8 @@ def reference(
     its gel is asked for where they are not kept."""
     shape = load_indenter(indenter)
     key = content_key(DECIDED_BY, specification, shape, poses, judged, REFERENCE, FRAME_S)
-    path = cache_directory() / f"accuracy-{key}.npz"
+    # Apart from the tables, of which the cache drops those that were not read for long.
+    path = cache_directory() / "accuracy" / f"{key}.npz"
     stored = load_arrays(path)
     if stored is None:
         gel = gels()
