@@ -57,6 +57,7 @@ def solved(marker: FloatArray, compliance: FloatArray) -> Contact:
         start,
         torch.zeros_like(start),
         torch.arange(count, dtype=torch.int32),
+        torch.arange(count, dtype=torch.int32),
         torch.eye(3).repeat(count, 1, 1),
         origin,
         wp.array([field] * count, dtype=kernels.IndenterField, device="cpu"),

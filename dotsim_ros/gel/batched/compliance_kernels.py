@@ -2,10 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """The compliance between markers, W C W': from its blocks between the nodes that they move with.
-
-Of the nine components of a block, row by row, `WIDTH` are kept, which a CPU adds at once: zz takes
-the place of zy, which is yz of the nodes in the other order. Each row of W has 27 weights.
-"""
+Each row of W has 27 weights."""
 
 # Warp reads kernels by its own rules, which are none of a type checker's.
 # mypy: ignore-errors
@@ -17,17 +14,16 @@ from dotsim_ros.io.warp_runtime import wp
 
 wp.set_module_options({"enable_backward": False})
 
-WIDTH = 8
-"""Of a block between nodes."""
-_TOGETHER = 4
+_SIZE = 9
+"""Of a block, row by row."""
+_TOGETHER = 8
 
 
-def blocks(node: torch.Tensor) -> torch.Tensor:
-    """Return memory for the blocks (B, R, R or a few more, WIDTH) between nodes (B, R)."""
-    count, size = node.shape
-    # A CPU weighs some at once. Rows of an odd number of those do not share a part of its cache.
-    length = (-(-size // _TOGETHER) | 1) * _TOGETHER
-    return torch.empty(count, size, length, WIDTH, device=node.device)
+def memory(count: int, rows: int, length: int, device: torch.device) -> torch.Tensor:
+    """Return memory (count, rows, length or a few more, 9) for blocks, some of which a CPU takes at
+    once. Rows of an odd number of those do not share a part of its cache."""
+    padded = (-(-length // _TOGETHER) | 1) * _TOGETHER
+    return torch.empty(count, rows, padded, _SIZE, device=device)
 
 
 @wp.func_native("""
@@ -45,13 +41,12 @@ def blocks(node: torch.Tensor) -> torch.Tensor:
                     * signs[16 * s + 4 * p + second[1]] * from[(long long)r * n + s];
     }
     const long long padded = between.shape[2], row = (long long)b * between.shape[1];
-    float* there = between.data + 8 * ((row + i) * padded + j);
-    float* back = between.data + 8 * ((row + j) * padded + i);
-    for (int c = 0; c < 7; ++c) {
+    float* there = between.data + 9 * ((row + i) * padded + j);
+    float* back = between.data + 9 * ((row + j) * padded + i);
+    for (int c = 0; c < 9; ++c) {
         there[c] = total[c];
         back[c] = total[3 * (c % 3) + c / 3];
     }
-    there[7] = back[7] = total[8];
 """)
 def write_rest(
     b: int,
@@ -84,13 +79,12 @@ def gather_rest(
 
 @wp.func_native("""
     const int* __restrict__ numbers = number.data + (long long)b * number.shape[1];
-    float* row = between.data + 8LL * ((long long)b * between.shape[1] + i) * between.shape[2];
+    float* row = between.data + 9LL * ((long long)b * between.shape[1] + i) * between.shape[2];
     for (int k = begin; k < end; ++k) {
         const int j = numbers[index.data[k]];
         if (j < 0) continue;
         const float* __restrict__ from = &block.data[k].data[0][0];
-        for (int c = 0; c < 7; ++c) row[8 * j + c] = from[c];
-        row[8 * j + 7] = from[8];
+        for (int c = 0; c < 9; ++c) row[9 * j + c] = from[c];
     }
 """)
 def write_refinement(
@@ -127,20 +121,22 @@ def gather_refinement(
     ROUNDS_ONCE
     + """
     constexpr int lanes = WP_TILE_BLOCK_DIM;
-    constexpr int numbers = lanes > 1 ? 1 : 32;
-    const int count = column.shape[1], width = 8 * between.shape[2];
+    constexpr int nodes = lanes > 1 ? 1 : 8;
+    const int count = column.shape[1];
+    const long long width = 9 * between.shape[2], length = 9 * row.shape[2];
     const float* __restrict__ from = between.data + (long long)b * between.shape[1] * width;
     const int* __restrict__ columns = column.data + 27LL * b * count;
     const float* __restrict__ w = weight.data + 27LL * b * count;
-    float* __restrict__ to = row.data + (long long)(b % row.shape[0]) * count * width;
-    for (int first = lane * numbers; first < width; first += lanes * numbers)
+    float* __restrict__ to = row.data + (b % row.shape[0]) * row.shape[1] * length;
+    for (int first = lane * nodes; first < between.shape[2]; first += lanes * nodes)
         for (int m = 0; m < count; ++m) {
-            float sum[numbers] = {};
+            float sum[9 * nodes] = {};
             for (int a = 27 * m; a < 27 * m + 27; ++a) {
-                const float* __restrict__ part = from + (long long)columns[a] * width + first;
-                for (int c = 0; c < numbers; ++c) sum[c] += w[a] * part[c];
+                const float* __restrict__ part = from + columns[a] * width + 9 * first;
+                for (int c = 0; c < 9 * nodes; ++c) sum[c] += w[a] * part[c];
             }
-            for (int c = 0; c < numbers; ++c) to[(long long)m * width + first + c] = sum[c];
+            for (int k = 0; k < nodes; ++k)
+                for (int c = 0; c < 9; ++c) to[(first + k) * length + 9 * m + c] = sum[9 * k + c];
         }
 """
 )
@@ -156,37 +152,37 @@ def weigh_rows(
     ...
 
 
+# It is symmetric: what is of markers m and l goes to both rows, unless the latter comes by itself.
 @wp.func_native(
     ROUNDS_ONCE
     + """
-    const int count = column.shape[1], width = 8 * row.shape[2];
-    const long long size = 3 * count;
+    constexpr int lanes = WP_TILE_BLOCK_DIM;
+    constexpr int markers = lanes > 1 ? 1 : 8;
+    const int count = column.shape[1];
+    const long long length = 9 * row.shape[2], size = 3 * count;
     const int* __restrict__ columns = column.data + 27LL * b * count;
     const float* __restrict__ w = weight.data + 27LL * b * count;
-    const float* __restrict__ rows = row.data + (long long)(b % row.shape[0]) * count * width;
+    const float* __restrict__ rows = row.data + (b % row.shape[0]) * row.shape[1] * length;
     float* __restrict__ to = result.data + b * size * size;
-    float* __restrict__ line = line_memory.data + 8LL * (b % row.shape[0]) * count;
-    for (int m = 0; m < count; ++m) {
-        for (int l = lane; l < count; l += WP_TILE_BLOCK_DIM) {
-            float sum[8] = {};
+    for (int first = lane * markers; first < count; first += lanes * markers)
+        for (int l = first; l < count; ++l) {
+            float sum[9 * markers] = {};
             for (int a = 27 * l; a < 27 * l + 27; ++a) {
-                const float* __restrict__ part = rows + (long long)m * width + 8 * columns[a];
-                for (int c = 0; c < 8; ++c) sum[c] += w[a] * part[c];
+                const float* __restrict__ part = rows + columns[a] * length + 9 * first;
+                for (int c = 0; c < 9 * markers; ++c) sum[c] += w[a] * part[c];
             }
-            for (int c = 0; c < 8; ++c) line[8 * l + c] = sum[c];
-        }
-        for (int l = lane; l < count; l += WP_TILE_BLOCK_DIM) {
-            const float* block = line + 8 * l;
-            float* there = to + 3 * m * size + 3 * l;
-            float* back = to + (3 * l + 2) * size + 3 * m + 1;
-            for (int c = 0; c < 7; ++c) {
-                float* one = there + c / 3 * size + c % 3;
-                *one = adds ? *one + block[c] : block[c];
+            for (int k = 0; k < markers && first + k < count; ++k) {
+                const int m = first + k;
+                float* there = to + 3 * l * size + 3 * m;
+                float* back = to + 3 * m * size + 3 * l;
+                for (int i = 0; i < 3; ++i)
+                    for (int j = 0; j < 3; ++j) {
+                        const float c = sum[9 * k + 3 * i + j];
+                        there[j * size + i] += c;
+                        if (l >= first + markers) back[i * size + j] += c;
+                    }
             }
-            there[2 * size + 2] = adds ? there[2 * size + 2] + block[7] : block[7];
-            *back = adds ? *back + block[5] : block[5];
         }
-    }
 """
 )
 def weigh_columns(
@@ -195,11 +191,9 @@ def weigh_columns(
     column: wp.array3d(dtype=wp.int32),
     weight: wp.array3d(dtype=wp.float32),
     row: wp.array4d(dtype=wp.float32),
-    line_memory: wp.array3d(dtype=wp.float32),
-    adds: int,
     result: wp.array3d(dtype=wp.float32),
 ):
-    """Write or add W C W' of W C, a lane's part."""
+    """Add W C W' of W C, a lane's part."""
     ...
 
 
@@ -208,15 +202,13 @@ def weigh(
     column: wp.array3d(dtype=wp.int32),
     weight: wp.array3d(dtype=wp.float32),
     between: wp.array4d(dtype=wp.float32),
-    adds: int,
     row: wp.array4d(dtype=wp.float32),
-    line: wp.array3d(dtype=wp.float32),
     result: wp.array3d(dtype=wp.float32),
 ):
-    """Write, or add, W C W' [b, 3 m + i, 3 l + j] of weights [b, m, a] on the nodes that are number
-    [b, m, a] of those that C [b, node, node, component] is between. row and line are memory, of
-    one gel where a block has one lane: these come one by one."""
+    """Add W C W' [b, 3 m + i, 3 l + j] of weights [b, m, a] on the nodes that are number
+    [b, m, a] of those that C [b, node, node, component] is between. row is memory, of one gel where
+    a block has one lane: these come one by one."""
     b, lane = wp.tid()
     weigh_rows(b, lane, column, weight, between, row)
     meet()
-    weigh_columns(b, lane, column, weight, row, line, adds, result)
+    weigh_columns(b, lane, column, weight, row, result)

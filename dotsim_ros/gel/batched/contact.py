@@ -29,6 +29,7 @@ class Markers:
         index: (B, K) their numbers.
         area_m2: (B, K).
         start_position_m, start_slip_m: (B, K, 3) in the indenter's frame.
+        place: (B,) of the gels' compliances among those that are known.
         gel: (B,) numbers of the gels, for what follows.
         rotation, origin_m: poses of all indenters.
         field, law: Warp arrays of all indenters and of the contact's laws.
@@ -38,6 +39,7 @@ class Markers:
     area_m2: torch.Tensor
     start_position_m: torch.Tensor
     start_slip_m: torch.Tensor
+    place: torch.Tensor
     gel: torch.Tensor
     rotation: torch.Tensor
     origin_m: torch.Tensor
@@ -52,6 +54,7 @@ class Markers:
             area_m2=self.area_m2[number, :count],
             start_position_m=self.start_position_m[number, :count],
             start_slip_m=self.start_slip_m[number, :count],
+            place=self.place[number],
             gel=self.gel[number],
         )
 
@@ -95,7 +98,7 @@ def solve_contact(
 
     Args:
         markers: that may touch.
-        compliance: (B, 3 K, 3 K) C, symmetric.
+        compliance: (n, 3 K, 3 K) C, symmetric, of these and maybe other gels.
         base_m: (B, K, 3) markers without contact forces.
         force_n: (B, K, 3) to begin with.
         guess_m: (B, K, 3) where the markers may come to lie. The contact is so stiff that where
@@ -115,6 +118,7 @@ def solve_contact(
     problem.compliance = wp.from_torch(compliance)
     problem.base, problem.guess = vectors(base_m.contiguous()), vectors(guess_m.contiguous())
     problem.area, problem.gel = wp.from_torch(markers.area_m2), wp.from_torch(markers.gel)
+    problem.place = wp.from_torch(markers.place)
     problem.start_position = vectors(markers.start_position_m)
     problem.start_slip = vectors(markers.start_slip_m)
     problem.field, problem.law = markers.field, markers.law

@@ -49,9 +49,9 @@ _vector = wp.types.vector(length=KRYLOV + 1, dtype=wp.float32)
 class Problem:
     """Of all gels b and their markers m, in the order of the fields' axes.
 
-    compliance: [b, 3 m, 3 m] between the markers, m/N, symmetric; base: without contact forces;
-    guess: where the markers may come to lie; area, start_position, start_slip: as `coulomb` takes
-    them; gel: [b] numbers of the gels, for field, rotation, origin and law of all.
+    compliance: [place[b], 3 m, 3 m] between the markers, m/N, symmetric; base: without contact
+    forces; guess: where the markers may come to lie; area, start_position, start_slip: as `coulomb`
+    takes them; gel: [b] numbers of the gels, for field, rotation, origin and law of all.
     """
 
     compliance: wp.array3d(dtype=wp.float32)
@@ -60,6 +60,7 @@ class Problem:
     area: wp.array2d(dtype=wp.float32)
     start_position: wp.array2d(dtype=wp.vec3)
     start_slip: wp.array2d(dtype=wp.vec3)
+    place: wp.array(dtype=wp.int32)
     gel: wp.array(dtype=wp.int32)
     field: wp.array(dtype=IndenterField)
     rotation: wp.array(dtype=wp.mat33)
@@ -199,7 +200,7 @@ def gmres(b: int, lane: int, count: int, problem: Problem, memory: Memory):
     done = wp.int32(0)
     for k in range(_KRYLOV):
         image = basis[k + 1]
-        multiply(b, lane, problem.compliance, numbers, numbers, basis[k], image)
+        multiply(problem.place[b], lane, problem.compliance, numbers, numbers, basis[k], image)
         for m in range(lane, count, lanes):
             x = memory.stiffness[b, m] * vector_of(image, m)
             for i in range(3):
@@ -293,7 +294,7 @@ def solve(
         if wp.length_sq(vector_of(force, m)) > 0.0:
             last = wp.float32(m)
     count = 1 + int(lanes_max(last))
-    multiply(b, lane, problem.compliance, 3 * count, 3 * markers, force, moved)
+    multiply(problem.place[b], lane, problem.compliance, 3 * count, 3 * markers, force, moved)
     # The indenter's linear answer around the guess, at the markers that the forces would cause.
     for m in range(lane, markers, lanes):
         off = problem.base[b, m] + vector_of(moved, m) - problem.guess[b, m]
@@ -313,7 +314,7 @@ def solve(
         size = wp.float32(0.0)
         if lanes_max(most) >= _LEAST_FORCE_N:
             size = gmres(b, lane, count, problem, memory)
-        multiply(b, lane, problem.compliance, 3 * count, 3 * markers, change, step)
+        multiply(problem.place[b], lane, problem.compliance, 3 * count, 3 * markers, change, step)
         most = wp.float32(0.0)
         for i in range(lane, 3 * markers, lanes):
             most = wp.max(most, wp.abs(step[i]))

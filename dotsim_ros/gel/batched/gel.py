@@ -513,6 +513,7 @@ class BatchedGel:
             torch.gather(self._local_m, 1, three),
             torch.gather(self._slip_m, 1, three),
             every,
+            every,
             rotation.contiguous(),
             origin_m.contiguous(),
             self.field,
@@ -615,7 +616,7 @@ class BatchedGel:
             count = markers.index.shape[1]
             if self._may_stop:
                 count = rounded_up(int(needed[some].max()), count)
-            part = markers.part(some, count)
+            part = replace(markers.part(some, count), place=markers.place[: len(some)])
             node_limit = None if self._may_stop else MOST_NODES
             parts.append((part, self._skin.compliance(part.index, node_limit)))
         return parts
@@ -738,7 +739,7 @@ def _kept_parts(
         if len(number) == len(keep):
             kept.append((markers, compliance))
         elif len(number):
-            kept.append((markers.part(number, markers.index.shape[1]), compliance[number]))
+            kept.append((markers.part(number, markers.index.shape[1]), compliance))
     return kept
 
 

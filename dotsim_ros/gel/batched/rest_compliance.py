@@ -98,10 +98,11 @@ class RestCompliance:
 
     def between(self, node: torch.Tensor) -> torch.Tensor:
         """Return the blocks of G between nodes (B, R), as `compliance_kernels` has them."""
-        result = compliance_kernels.blocks(node)
+        count, size = node.shape
+        result = compliance_kernels.memory(count, size, size, node.device)
         wp.launch(
             compliance_kernels.gather_rest,
-            dim=(*node.shape, node.shape[1]),
+            dim=(count, size, size),
             inputs=[wp.from_torch(node), *self._between_inputs],
             outputs=[wp.from_torch(result)],
             device=str(node.device),

@@ -126,12 +126,13 @@ class Skin:
                 for all, which are counted.
         """
         b, k = index.shape
-        result = torch.empty(b, 3 * k, 3 * k, device=index.device)
+        result = torch.zeros(b, 3 * k, 3 * k, device=index.device)
         near = _around(self._stencils, index, node_limit)
-        _weigh(near, self._rest.between(near.node), result, adds=False)
+        _weigh(near, self._rest.between(near.node), result)
         if self._fine is not None:
             near = _around(self._fine, index, node_limit)
-            blocks = compliance_kernels.blocks(near.node).zero_()
+            size = near.node.shape[1]
+            blocks = compliance_kernels.memory(b, size, size, index.device).zero_()
             wp.launch(
                 compliance_kernels.gather_refinement,
                 dim=tuple(near.node.shape),
@@ -143,7 +144,7 @@ class Skin:
                 ],
                 device=self._device,
             )
-            _weigh(near, blocks, result, adds=True)
+            _weigh(near, blocks, result)
         return result
 
     def _fine_displacement(self, load_n: torch.Tensor) -> torch.Tensor:
@@ -210,12 +211,11 @@ def _around(stencils: Stencils, index: torch.Tensor, limit: int | None) -> _Near
     return _Near(node.to(torch.int32), number, weight, column.clamp(min=0))
 
 
-def _weigh(near: _Near, blocks: torch.Tensor, result: torch.Tensor, *, adds: bool) -> None:
-    """Write or add to (B, 3 K, 3 K) the compliance that markers have by that between nodes."""
+def _weigh(near: _Near, blocks: torch.Tensor, result: torch.Tensor) -> None:
+    """Add to (B, 3 K, 3 K) the compliance that markers have by that between nodes."""
     count, k, _ = near.weight.shape
     of_one = 1 if result.device.type == "cpu" else count
-    row = blocks.new_empty(of_one, k, *blocks.shape[2:])
-    line = row.new_empty(of_one, k, compliance_kernels.WIDTH)
+    row = compliance_kernels.memory(of_one, blocks.shape[2], k, result.device)
     wp.launch_tiled(
         compliance_kernels.weigh,
         dim=[count],
@@ -223,9 +223,7 @@ def _weigh(near: _Near, blocks: torch.Tensor, result: torch.Tensor, *, adds: boo
             wp.from_torch(near.column),
             wp.from_torch(near.weight),
             wp.from_torch(blocks),
-            int(adds),
             wp.from_torch(row),
-            wp.from_torch(line),
             wp.from_torch(result),
         ],
         block_dim=kernels.BLOCK,
