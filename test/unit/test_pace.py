@@ -54,3 +54,7 @@ def test_a_pace_of_another_rate_goes_on_counting():
     other = pace.resumed(rate_hz=10.0, start_s=5.0)
     assert (other.deadline_s(), other.late, other.dropped) == (5.0, pace.late, pace.dropped)
     assert min(other.late, other.dropped) > 0
+    # The machine may be fast enough for the new rate.
+    assert pace.dropped_share > other.dropped_share == 0.0
+    other.begin(5.25)
+    assert other.dropped_share == 2 / 3

@@ -28,12 +28,19 @@ class FramePace:
         self._index = 0
         self.late = 0
         self.dropped = 0
+        self._dropped_before = 0
 
     def resumed(self, *, rate_hz: float, start_s: float) -> FramePace:
         """Return a pace of another rate or start that goes on counting."""
         pace = FramePace(rate_hz=rate_hz, start_s=start_s)
-        pace.late, pace.dropped = self.late, self.dropped
+        pace.late = self.late
+        pace.dropped = pace._dropped_before = self.dropped
         return pace
+
+    @property
+    def dropped_share(self) -> float:
+        """Share of the deadlines of this rate that had no frame."""
+        return (self.dropped - self._dropped_before) / max(self._index, 1)
 
     def deadline_s(self) -> float:
         """Return when the next frame is due."""

@@ -55,6 +55,8 @@ from msg_adapters import Level, Status, message_class
 
 FRAMES_BROKEN = "the loop of frames failed"
 FORCE_LOG_S = 5.0
+DROPPED_SHARE = 0.01
+"""Of the frames; where more are dropped, the machine is too slow for the rate."""
 
 
 class ConfiguredSensor:
@@ -317,12 +319,12 @@ class ConfiguredSensor:
         return statuses_of(self._node.label, hardware_id, reports)
 
     def _frames_report(self, now_s: float) -> Report:
-        rate, dropped = self._counter.rate, self._pace.dropped
+        rate = self._counter.rate
         lag_m = self._session.take_largest_lag_m()
         values = {
             "frames": str(rate.count),
             "rate_hz": f"{rate.rate_hz(now_s):.2f}",
-            "dropped": str(dropped),
+            "dropped": str(self._pace.dropped),
             "late": str(self._pace.late + self._session.behind),
             "lag_m": f"{lag_m:.6f}",
             **self._profile.values(),
@@ -332,7 +334,7 @@ class ConfiguredSensor:
         if lag_m > self.settings.motion.maximum_lag_m:
             lag = lag_text(lag_m, self.settings.motion.maximum_lag_m)
             self._node.get_logger().warning(lag, once=True)
-        is_too_slow = self._is_realtime and 0.0 < 0.01 * rate.count < dropped
+        is_too_slow = self._is_realtime and self._pace.dropped_share > DROPPED_SHARE
         warnings = (
             "" if self._is_active else "inactive: activate the node to continue",
             "" if self._is_enabled else "disabled: call set_enabled to continue",
