@@ -100,4 +100,4 @@ def report(word: str, gripper: MujocoGripper) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *sys.argv[2:3], *map(float, sys.argv[3:]))
+    main(Path(*sys.argv[1:2] or ["out/two_fingers"]), *sys.argv[2:3], *map(float, sys.argv[3:]))

@@ -175,7 +175,7 @@ def test_another_plan_in_the_same_folder_is_refused(
     card.write_text(json.dumps({"version": 1, "seed": 1}))
     arguments = ["dataset", "--out", str(card.parent), "--format", "webdataset"]
     assert main(arguments) == 1
-    assert "holds touches of another plan and touches" in capsys.readouterr().err
+    assert "holds touches of another plan and number" in capsys.readouterr().err
     card.write_text(json.dumps({"version": 0}))
     assert main(arguments) == 1
     assert "is of the version 0, expected 1" in capsys.readouterr().err

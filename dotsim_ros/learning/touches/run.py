@@ -128,6 +128,9 @@ def _keep_card(folder: Path, plan: TouchPlan, count: int, seed: int, kind: str) 
                 "give another folder with --out"
             )
         differs = [name for name, value in card.items() if known.get(name) != value]
+        if "plan" in differs and "content" in differs:
+            differs.remove("content")
+        differs = ["number" if name == "touches" else name for name in differs]
         if differs:
             raise ValueError(
                 f"{folder} holds touches of another {' and '.join(differs)}; give another folder "
