@@ -96,7 +96,9 @@ def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
     # Launch files look for files by this module, in an interpreter that may lack OpenCV.
     import cv2
 
-    encoded = cv2.imencode(Path(path).suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]
+    is_done, encoded = cv2.imencode(Path(path).suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    if not is_done:
+        raise OSError(f"{path} could not be written")
     with whole_file(path) as part:
         # OpenCV would write it itself, but not say why it could not.
         part.write_bytes(encoded.tobytes())
