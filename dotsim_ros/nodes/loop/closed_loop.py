@@ -407,9 +407,12 @@ class ClosedLoop:
             self._launch(RECORDER, {"output": bag})
             self._await(RECORDER, "recording /")
             self._expect()
-            self.time.wait_for_line(
-                self._processes[RECORDER], "receiving /cmd_vel", START_TIMEOUT_S
-            )
+            for topic in loop_parameters(RECORDER)["topics"]:
+                self.time.wait_for_line(
+                    self._processes[RECORDER],
+                    f"receiving /{topic.split('=')[0]}",
+                    START_TIMEOUT_S,
+                )
         self.wait_diagnostics()
         before = self.stops()
         self.observer.forget()
