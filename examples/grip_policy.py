@@ -10,7 +10,7 @@ is 70 %. Then unseen objects hang on it within half a second: on one finger, by 
 python examples/grip_policy.py [OUT [TOUCHES [OBJECTS]]]
 """
 
-import sys
+import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -84,7 +84,7 @@ def hold(sensor, mass_kg, shape, policy):
     return data.qpos[0] < 1e-3, grip_n / weight_n
 
 
-def main(out: Path, count: int = 60, objects: int = len(OBJECTS)) -> None:
+def main(out: Path, count: int, objects: int) -> None:
     plan = read_plan(Path(__file__).parent / "grip_touches.yaml")
     make_touches(plan, out, count=count, kind="webdataset", progress=PrintedProgress())
     touches = list(touches_in(out, skin_of(plan.sensor.gel).rest_position_m))
@@ -109,4 +109,12 @@ def main(out: Path, count: int = 60, objects: int = len(OBJECTS)) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(*sys.argv[1:2] or ["out/grip"]), *map(int, sys.argv[2:]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", nargs="?", type=Path, default=Path("out/grip"))
+    parser.add_argument("touches", nargs="?", type=int, default=60)
+    parser.add_argument("objects", nargs="?", type=int, default=len(OBJECTS))
+    given = parser.parse_args()
+    try:
+        main(given.out, given.touches, given.objects)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))

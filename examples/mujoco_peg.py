@@ -1,9 +1,10 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""An arm in MuJoCo presses the sensor on a peg: python examples/mujoco_peg.py FOLDER."""
+"""An arm in MuJoCo presses the sensor on a peg: python examples/mujoco_peg.py [OUT]."""
 
 import sys
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -37,6 +38,7 @@ for time_s in np.arange(0.0, END_S, STEP_S):
     back, data.qfrc_applied[:] = (-axes @ frame.wrench.force_n, -axes @ frame.wrench.torque_nm), 0.0
     mujoco.mj_applyFT(model, data, *back, gel_m, model.nbody - 1, data.qfrc_applied)
     forces.append([time_s, *back[0], *back[1], *held])
-frame.save(f"{sys.argv[1]}/peg.png")
-np.savetxt(f"{sys.argv[1]}/forces.csv", forces, "%.6f", ",")
+out = Path(*sys.argv[1:2] or ["out/mujoco_peg"])
+frame.save(out / "peg.png")
+np.savetxt(out / "forces.csv", forces, "%.6f", ",")
 print(f"the gel pushes back with {back[0][2]:.3f} N, the motors hold {held[1]:.3f} N")

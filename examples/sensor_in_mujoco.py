@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Put the sensor on a body of a MuJoCo world: python examples/sensor_in_mujoco.py FOLDER."""
+"""Put the sensor on a body of a MuJoCo world: python examples/sensor_in_mujoco.py [OUT]."""
 
 import sys
 from pathlib import Path
@@ -25,7 +25,7 @@ WORLD = """
 """
 
 
-def main() -> None:
+def main(out: Path) -> None:
     model = mujoco.MjModel.from_xml_string(WORLD)
     data = mujoco.MjData(model)
     sensor = dotsim_ros.TactileSensor.load("densetact2")
@@ -33,8 +33,8 @@ def main() -> None:
     for _ in range(40):
         gel = coupling.step()
     print(f"the gel carries {gel.wrench.force_n[2]:.3f} N, the ball weighs {0.03 * 9.81:.3f} N")
-    sensor.see(gel, coupling.indenter_pose()).save(Path(sys.argv[1]) / "touch.png")
+    sensor.see(gel, coupling.indenter_pose()).save(out / "touch.png")
 
 
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/sensor_in_mujoco"))

@@ -10,7 +10,7 @@ of the training and judged; the picture shows one of them.
 python examples/slip_detector.py [OUT [TOUCHES]]
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -51,7 +51,11 @@ def main(out: Path, count: int) -> None:
 
 
 if __name__ == "__main__":
-    main(
-        Path(sys.argv[1] if len(sys.argv) > 1 else "out/slip"),
-        int(sys.argv[2]) if len(sys.argv) > 2 else 300,
-    )
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", nargs="?", type=Path, default=Path("out/slip"))
+    parser.add_argument("touches", nargs="?", type=int, default=300)
+    given = parser.parse_args()
+    try:
+        main(given.out, given.touches)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))

@@ -8,10 +8,10 @@ with the forces of all gels on the object and on the fingers. MuJoCo itself sees
 fingers and object, so the friction of the gels is all that holds it. Writes grip.png, the change
 of both sensors' images by the grip, six times as strong.
 
-python examples/two_fingers.py FOLDER [ball|box] [SECONDS]
+python examples/two_fingers.py [OUT [ball|box [SECONDS]]]
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -59,7 +59,7 @@ MOVES = [(0.15, 0.35, 0.03), (0.45, 0.75, np.pi / 2), (0.0, 0.1, 0.0025), (0.0, 
 REPORTS = {0.45: "lifted", 0.85: "turned", 1.0: "held"}
 
 
-def main(folder: Path, name: str = "ball", seconds: float = 10.0) -> None:
+def main(folder: Path, name: str, seconds: float) -> None:
     model = mujoco.MjModel.from_xml_string(WORLD.format(shape=OBJECTS[name]))
     data = mujoco.MjData(model)
     fingers = [
@@ -100,4 +100,9 @@ def report(word: str, gripper: MujocoGripper) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(*sys.argv[1:2] or ["out/two_fingers"]), *sys.argv[2:3], *map(float, sys.argv[3:]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", nargs="?", type=Path, default=Path("out/two_fingers"))
+    parser.add_argument("object", nargs="?", choices=OBJECTS, default="ball")
+    parser.add_argument("seconds", nargs="?", type=float, default=10.0)
+    given = parser.parse_args()
+    main(given.out, given.object, given.seconds)

@@ -3,7 +3,7 @@
 
 """Verbs of `dotsim_ros` as ROS executables: `ros2 run dotsim_ros dotsim_find_gap` and its like.
 
-They need no graph: arguments that ROS adds are dropped, the rest is the verb's. A sourced workspace
+They need no ROS: arguments that it adds are dropped, the rest is the verb's. A sourced workspace
 has them on its path, where a plain `calibrate` would not say whose it is.
 """
 
@@ -12,14 +12,16 @@ from __future__ import annotations
 import sys
 from functools import partial
 
-from rclpy.utilities import remove_ros_args
-
 from dotsim_ros.cli.main import main
 
 
 def _run(verb: str, old_name: str = "") -> int:
     if old_name:
         print(f"{old_name} is called dotsim_{old_name} now; this name will go", file=sys.stderr)
+    try:
+        from rclpy.utilities import remove_ros_args
+    except ModuleNotFoundError:
+        return main([verb, *sys.argv[1:]])
     return main([verb, *remove_ros_args(sys.argv)[1:]])
 
 

@@ -15,15 +15,26 @@ import os
 import signal
 import sys
 from functools import partial
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
 HELP = ("-h", "--help")
+NEEDS_ROS = (
+    "needs ROS 2, which is not there: source /opt/ros/jazzy/setup.bash, "
+    "or pip install 'dotsim_ros[ros]'"
+)
 
 
 def _run(name: str, executable: str = "") -> int:
     signal.signal(signal.SIGINT, _end)
-    module = importlib.import_module(f"dotsim_ros.nodes.{name}.node")
+    try:
+        module = importlib.import_module(f"dotsim_ros.nodes.{name}.node")
+    except ModuleNotFoundError:
+        if find_spec("rclpy") is not None:
+            raise
+        print(f"{executable or name} {NEEDS_ROS}", file=sys.stderr)
+        return 2
     if any(argument in HELP for argument in sys.argv[1:]):
         print(_usage(executable or name, module))
         return 0

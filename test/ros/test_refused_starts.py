@@ -375,6 +375,26 @@ def test_parameters_that_no_node_has_are_named_with_the_nearest_name(
     answered(named[0])
 
 
+def test_without_ros_a_node_says_what_to_install_and_a_verb_runs() -> None:
+    hidden = "import sys; sys.modules['rclpy'] = None; import dotsim_ros."
+    node, verb = (
+        subprocess.run(
+            [sys.executable, "-c", f"{hidden}{module} as e; exit(e.{name}())", "-h"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        for module, name in (
+            ("nodes.executables", "tactile_record"),
+            ("cli.executables", "find_gap"),
+        )
+    )
+    assert node.returncode == 2
+    assert node.stderr.startswith("tactile_record needs ROS 2")
+    assert node.stderr.count("\n") == 1
+    assert (verb.returncode, verb.stderr) == (0, "")
+
+
 @pytest.mark.parametrize(
     ("module", "name"),
     [
