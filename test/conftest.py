@@ -63,6 +63,8 @@ def pytest_configure(config: pytest.Config) -> None:
     # Some hundred processes import the same: a second each where no bytecode is kept.
     if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
         os.environ.setdefault("PYTHONPYCACHEPREFIX", str(cache_directory() / "bytecode"))
+    # Ray's workers would wait for every other test.
+    os.environ.setdefault("RAY_worker_niceness", "0")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "fault(area, what): shows the answer to a fault")
