@@ -112,20 +112,34 @@ class Indenter:
         return self.signed_distance((points_m - pose.position_m) @ pose.rotation())
 
     def bounds_m(self) -> FloatArray:
-        """Return the lower and upper corner (2, 3) of a box around the shape, indenter's frame."""
+        """Return the lower and upper corner (2, 3) of a box around the shape, indenter's frame; not
+        to be written to."""
+        return self._bounds_m
+
+    @functools.cached_property
+    def _bounds_m(self) -> FloatArray:
         if self.mesh is not None:
-            return self.mesh.bounds_m()
-        lower, upper = _primitive_bounds(self.kind, self.parameters)
-        corners = np.array(
-            [
-                [x, y, z]
-                for x in (lower[0], upper[0])
-                for y in (lower[1], upper[1])
-                for z in (lower[2], upper[2])
-            ]
-        )
-        corners = self.mount.apply(corners)
-        return np.array([corners.min(axis=0), corners.max(axis=0)])
+            bounds = self.mesh.bounds_m()
+        else:
+            lower, upper = _primitive_bounds(self.kind, self.parameters)
+            corners = np.array(
+                [
+                    [x, y, z]
+                    for x in (lower[0], upper[0])
+                    for y in (lower[1], upper[1])
+                    for z in (lower[2], upper[2])
+                ]
+            )
+            corners = self.mount.apply(corners)
+            bounds = np.array([corners.min(axis=0), corners.max(axis=0)])
+        # Every commanded pose asks for it some times.
+        bounds.flags.writeable = False
+        return bounds
+
+    @functools.cached_property
+    def _radius_m(self) -> float:
+        """Half the diagonal of the box around the shape."""
+        return 0.5 * float(np.linalg.norm(np.ptp(self._bounds_m, axis=0)))
 
     def distance_grid(self, spacing_m: float | None = None) -> SignedDistanceGrid:
         """Return the signed distance as a quadratic B-spline that reaches 4 mm beyond the shape.
@@ -537,9 +551,8 @@ def way_m(start: Pose, end: Pose, indenter: Indenter) -> float:
     """Return how far an indenter's points move at most between two poses, roughly."""
     cosine = abs(float(start.quaternion_xyzw @ end.quaternion_xyzw))
     turn = 2.0 * np.arccos(min(1.0, cosine))
-    radius = 0.5 * float(np.linalg.norm(np.ptp(indenter.bounds_m(), axis=0)))
     shift = float(np.linalg.norm(end.position_m - start.position_m))
-    return shift + float(turn) * min(radius, LARGEST_LEVER_M)
+    return shift + float(turn) * min(indenter._radius_m, LARGEST_LEVER_M)
 
 
 _PRIMITIVE_DISTANCE: dict[IndenterKind, Callable[..., FloatArray]] = {
