@@ -57,8 +57,8 @@ class BatchedRenderer:
 
     Attributes:
         view: what was seen last.
-        rays, position, vertex_normal, pixel: for kernels, of the camera and of the skins
-            that were seen last.
+        rays, triangles, position, vertex_normal, pixel: for kernels, of the camera, the skin, and
+            the skins that were seen last.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class BatchedRenderer:
         self._origin = wp.vec3d(*camera.pose.position_m)
         self._rotation = wp.mat33d(*camera.pose.rotation().ravel())
         first, faces = faces_around_vertices(skin.triangles, skin.vertex_count)
-        self._triangles = self._upload(skin.triangles, wp.int32)
+        self.triangles = self._upload(skin.triangles, wp.int32)
         self._first_face = self._upload(first, wp.int32)
         self._faces_around = self._upload(faces, wp.int32)
         self.rays = self._upload(camera.rays()[0].astype(np.float32), wp.vec3)
@@ -135,19 +135,19 @@ class BatchedRenderer:
         self.launch(
             kernels.vertex_normals,
             (count, vertex_count),
-            [self.position, self._triangles, self._first_face, self._faces_around],
+            [self.position, self.triangles, self._first_face, self._faces_around],
             [self.vertex_normal],
         )
         self.launch(
             kernels.rasterize,
-            (count, len(self._triangles)),
-            [self.position, self.pixel, self._triangles, self.rays, self._lens],
+            (count, len(self.triangles)),
+            [self.position, self.pixel, self.triangles, self.rays, self._lens],
             [nearest],
         )
         self.launch(
             kernels.fill_view,
             tuple(nearest.shape),
-            [nearest, self.rays, self._triangles, self.position, self.vertex_normal],
+            [nearest, self.rays, self.triangles, self.position, self.vertex_normal],
             [wp.from_torch(view.depth_m), normal, wp.from_torch(view.triangle)],
         )
         if view.marker_px.shape[1]:
@@ -201,7 +201,7 @@ class BatchedImages:
         # What the same kernels see of the skin at rest, so that there the image is the idle frame.
         at_rest = BatchedRenderer(renderer.camera, skin, 1, device=renderer.device)
         at_rest.render(torch.as_tensor(skin.rest_position_m, device=renderer.device).float()[None])
-        self._shared.rest_pixel = at_rest.pixel[0]
+        self._rest_pixel = at_rest.pixel[0]
         rest_light = direct_light(at_rest.position[0], at_rest.vertex_normal[0], one.leds, lighting)
         self._rest = [rest_light, one.ambient, lighting.exponent]
 
@@ -221,6 +221,8 @@ class BatchedImages:
             tuple(view.triangle.shape),
             [
                 self._shared,
+                given.triangles,
+                self._rest_pixel,
                 wp.from_torch(view.triangle),
                 wp.from_torch(view.depth_m),
                 given.rays,

@@ -204,6 +204,8 @@ def brightness_gain(
 @wp.kernel
 def warp_idle(
     shared: ImagePixels,
+    triangles: wp.array2d(dtype=wp.int32),
+    rest_pixel: wp.array(dtype=wp.vec2),
     triangle: wp.array3d(dtype=wp.int32),
     depth: wp.array3d(dtype=wp.float32),
     ray: wp.array2d(dtype=wp.vec3),
@@ -219,16 +221,16 @@ def warp_idle(
         for channel in range(3):
             image[b, y, x, channel] = shared.idle[y, x, channel]
         return
-    i0 = shared.triangles[face, 0]
-    i1 = shared.triangles[face, 1]
-    i2 = shared.triangles[face, 2]
+    i0 = triangles[face, 0]
+    i1 = triangles[face, 1]
+    i2 = triangles[face, 2]
     weight = corner_weights(
         position[b, i0], position[b, i1], position[b, i2], ray[y, x], depth[b, y, x]
     )
     way = between_corners(
-        shared.rest_pixel[i0] - pixel[b, i0],
-        shared.rest_pixel[i1] - pixel[b, i1],
-        shared.rest_pixel[i2] - pixel[b, i2],
+        rest_pixel[i0] - pixel[b, i0],
+        rest_pixel[i1] - pixel[b, i1],
+        rest_pixel[i2] - pixel[b, i2],
         weight,
     )
     brightness = between_corners(gain[b, i0], gain[b, i1], gain[b, i2], weight)

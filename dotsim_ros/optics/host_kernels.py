@@ -45,7 +45,6 @@ _NEAREST_IN_BOX = """
     typedef int flags __attribute__((vector_size(32), aligned(4), may_alias));
     typedef float pairs __attribute__((vector_size(64), aligned(4), may_alias));
     typedef int pair_flags __attribute__((vector_size(64), aligned(4), may_alias));
-    const flags number = {0, 1, 2, 3, 4, 5, 6, 7};
     const int width = triangle_seen.shape[1];
     const int count = triangle_seen.shape[0] * width;
     // What lies beyond may be another thread's.
@@ -62,9 +61,8 @@ _NEAREST_IN_BOX = """
     for (int row = corners[2]; row <= corners[3]; ++row) {
         const int end = row * width + corners[1] + 1;
         for (int first = row * width + corners[0]; first < end; first += 8) {
-            // The last lanes of the band start earlier, and leave out what lies before.
+            // The last lanes of the band start earlier. No ray beyond the box meets the triangle.
             const int start = first < last_start ? first : last_start;
-            const flags place = start + number;
             const float* direction = rays + start;
             const lanes x = *(const lanes*)direction;
             const lanes y = *(const lanes*)(direction + count);
@@ -74,9 +72,8 @@ _NEAREST_IN_BOX = """
             const lanes weight_b = to_b[0] * x + to_b[1] * y + to_b[2] * z;
             const lanes weight_c = to_c[0] * x + to_c[1] * y + to_c[2] * z;
             const lanes least = -crack_tolerance * total;
-            const flags inside = (place >= first) & (place < end) & (total > 0.0f)
-                & (weight_b >= least) & (weight_c >= least)
-                & (total - weight_b - weight_c >= least);
+            const flags inside = (total > 0.0f) & (weight_b >= least)
+                & (weight_c >= least) & (total - weight_b - weight_c >= least);
             const lanes distance = 1.0f / total;
             flags& seen = *(flags*)(triangles_seen + start);
             lanes& nearest = *(lanes*)(depths + start);
@@ -86,8 +83,10 @@ _NEAREST_IN_BOX = """
             const flags seen_before = seen;
             const lanes nearest_before = nearest;
             const pairs weight_before = weight;
+            // Of two at one distance the first of the mesh, in whatever order they come.
             const flags closer = inside & ((seen_before == no_triangle)
-                | (distance < nearest_before));
+                | (distance < nearest_before)
+                | ((distance == nearest_before) & (face < seen_before)));
             const lanes b = weight_b * distance;
             const lanes c = weight_c * distance;
             const pairs both = __builtin_shufflevector(
@@ -128,6 +127,7 @@ def rasterize(
     position: wp.array(dtype=wp.vec3),
     pixel: wp.array(dtype=wp.vec2),
     triangles: wp.array2d(dtype=wp.int32),
+    order: wp.array(dtype=wp.int32),
     ray: wp.array3d(dtype=wp.float32),
     lens: Lens,
     row_first: int,
@@ -140,9 +140,10 @@ def rasterize(
     since its triangles share pixels. A band has at least `LANES` pixels.
 
     The box around the projected corners only chooses the pixels; each is tested with its own ray,
-    so a lens's curved edges cost no accuracy. The rays are (3, H, W): their parts lie apart.
+    so a lens's curved edges cost no accuracy. The rays are (3, H, W): their parts lie apart. The
+    order of the triangles decides how long it takes alone.
     """
-    face = wp.tid()
+    face = order[wp.tid()]
     i0 = triangles[face, 0]
     i1 = triangles[face, 1]
     i2 = triangles[face, 2]
@@ -221,32 +222,30 @@ def fill_normals(view: NormalPixels, row_first: int):
 _WARP_ROW = """
     const auto pixels = given;
     typedef float four __attribute__((vector_size(16), aligned(4), may_alias));
+    typedef float eight __attribute__((vector_size(32), aligned(4), may_alias));
     typedef int levels __attribute__((vector_size(16)));
-    const auto load = [](const wp::vec_t<3, float>& v) -> four {
-        return four{v[0], v[1], v[2], 0.0f};
+    const auto both = [](const four& a, const four& b) -> eight {
+        return __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7);
     };
-    // Two neighbouring samples by two loads that stay within them.
-    const auto between = [](const wp::vec_t<3, float>* pair, float right) -> four {
-        const float* number = (const float*)pair;
-        const four one = *(const four*)number;
-        const four last = *(const four*)(number + 2);
-        const four other = __builtin_shufflevector(last, last, 1, 2, 3, 0);
-        return (1.0f - right) * one + right * other;
+    const auto first = [](const eight& v) -> four {
+        return __builtin_shufflevector(v, v, 0, 1, 2, 3);
     };
-    const auto within = [](float value, float largest) -> float {
-        const float positive = value > 0.0f ? value : 0.0f;
-        return positive < largest ? positive : largest;
+    const auto second = [](const eight& v) -> four {
+        return __builtin_shufflevector(v, v, 4, 5, 6, 7);
+    };
+    // The right one of two neighbouring samples, by a load that stays within them.
+    const auto next = [](const float* sample) -> four {
+        const four last = *(const four*)(sample + 2);
+        return __builtin_shufflevector(last, last, 1, 2, 3, 0);
     };
     const int fine_width = pixels.fine_flat.shape[1];
-    const int last_column = fine_width - 2;
-    const int last_row = pixels.fine_flat.shape[0] - 2;
-    const float last_x = (float)(fine_width - 1);
-    const float last_y = (float)(pixels.fine_flat.shape[0] - 1);
+    const int fine_height = pixels.fine_flat.shape[0];
+    const four last_place = {(float)(fine_width - 1), (float)(fine_height - 1)};
+    const levels last_cell = {fine_width - 2, fine_height - 2};
+    const float* const samples = (const float*)pixels.fine_flat.data;
     const four dark = {};
     const four full = dark + 255.0f;
-    int loaded = no_triangle;
-    wp::vec_t<2, float> back[3];
-    four bright[3] = {};
+    const eight* const changes = (const eight*)pixels.change.data;
     const int width = pixels.triangle_seen.shape[1];
     for (int x = 0; x < width; ++x) {
         const int at = y * width + x;
@@ -256,33 +255,24 @@ _WARP_ROW = """
             for (int k = 0; k < 3; ++k) colour[k] = pixels.idle.data[3 * at + k];
             continue;
         }
-        if (face != loaded) {
-            loaded = face;
-            for (int i = 0; i < 3; ++i) {
-                const int corner = pixels.triangles.data[3 * face + i];
-                back[i] = pixels.rest_pixel.data[corner] - pixels.pixel.data[corner];
-                bright[i] = load(pixels.gain.data[corner]);
-            }
-            for (int i = 1; i < 3; ++i) {
-                back[i] = back[i] - back[0];
-                bright[i] -= bright[0];
-            }
-        }
         const float b = pixels.barycentric.data[at][0];
         const float c = pixels.barycentric.data[at][1];
-        const wp::vec_t<2, float> way = back[0] + b * back[1] + c * back[2];
-        const float fine_x = within(2.0f * ((float)x + way[0]), last_x);
-        const float fine_y = within(2.0f * ((float)y + way[1]), last_y);
+        const eight* change = changes + 3 * face;
+        const eight mixed = change[0] + b * change[1] + c * change[2];
+        four place = 2.0f * (four{(float)x, (float)y} + second(mixed));
+        place = place > dark ? place : dark;
+        place = place < last_place ? place : last_place;
         // The last sample is reached as the far end of the last cell.
-        const int column = (int)fine_x < last_column ? (int)fine_x : last_column;
-        const int row = (int)fine_y < last_row ? (int)fine_y : last_row;
-        const float right = fine_x - (float)column;
-        const float down = fine_y - (float)row;
-        const auto* sample = pixels.fine_flat.data + row * fine_width + column;
-        const four upper = between(sample, right);
-        const four lower = between(sample + fine_width, right);
-        const four brightness = bright[0] + b * bright[1] + c * bright[2];
-        four level = ((1.0f - down) * upper + down * lower) * brightness;
+        levels cell = __builtin_convertvector(place, levels);
+        cell = cell < last_cell ? cell : last_cell;
+        const four share = place - __builtin_convertvector(cell, four);
+        const float right = share[0];
+        const float down = share[1];
+        const float* upper = samples + 3 * (cell[1] * fine_width + cell[0]);
+        const float* lower = upper + 3 * fine_width;
+        const eight rows = (1.0f - right) * both(*(const four*)upper, *(const four*)lower)
+            + right * both(next(upper), next(lower));
+        four level = ((1.0f - down) * first(rows) + down * second(rows)) * first(mixed);
         level = level * pixels.vignetting.data[at];
         level = level > dark ? level : dark;
         level = level < full ? level : full;
@@ -300,6 +290,6 @@ def warp_row(y: int, no_triangle: int, given: ImagePixels):
 
 @wp.kernel
 def warp_idle(pixels: ImagePixels, row_first: int):
-    """`kernels.warp_idle`, the three colours at once."""
+    """`kernels.warp_idle`, the three colours and both coordinates at once."""
     row, _ = wp.tid()
     warp_row(row_first + row, _NO_TRIANGLE, pixels)

@@ -244,12 +244,28 @@ class ImageRenderer:
         """Return the brightness (V, 3) of each vertex over that at rest, without vignetting."""
         return np.asarray(self._gain(view).numpy(), dtype=np.float32)
 
+    def _change(self, view: View) -> wp.array:
+        """Return (T, 3) what pixels of each triangle interpolate, see the kernel."""
+        change = wp.empty(self._triangles.shape, dtype=kernels.vec8, device=self._device)
+        wp.launch(
+            kernels.triangle_changes,
+            dim=len(change),
+            inputs=[
+                self._triangles,
+                self._rest_pixel,
+                self._upload(view.vertex_pixel, wp.vec2),
+                self._gain(view),
+            ],
+            outputs=[change],
+            device=self._device,
+        )
+        return change
+
     def pixels_at_rest(self) -> Any:
         """Return a `kernels.ImagePixels` with what all frames have in common."""
         pixels = kernels.ImagePixels()
         pixels.lit, pixels.vignetting = self._lit, self._brightness
         pixels.idle, pixels.fine_flat = self._idle, self._fine_flat
-        pixels.triangles, pixels.rest_pixel = self._triangles, self._rest_pixel
         return pixels
 
     def warp(self, view: View) -> ImageArray:
@@ -258,8 +274,7 @@ class ImageRenderer:
         pixels = self.pixels_at_rest()
         pixels.triangle_seen = self._upload(view.triangle, wp.int32)
         pixels.barycentric = self._upload(view.barycentric, wp.vec2)
-        pixels.pixel = self._upload(view.vertex_pixel, wp.vec2)
-        pixels.image, pixels.gain = image, self._gain(view)
+        pixels.image, pixels.change = image, self._change(view)
 
         def warp_idle(first: int, end: int) -> wp.Launch:
             return wp.launch(

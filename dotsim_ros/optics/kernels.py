@@ -307,12 +307,14 @@ def brightness_gain(
     gain[v] = brightness_over_rest(irradiance[v], rest_irradiance[v], ambient, exponent)
 
 
+vec8 = wp.types.vector(length=8, dtype=wp.float32)
+
+
 @wp.struct
 class ImagePixels:
     """What `warp_idle` reads and writes: of each pixel the triangle seen and the weights of its
     second and third corner, whether it is lit, vignetting, idle colour and colour; of the skin its
-    triangles and, of each vertex, pixel, pixel at rest and gain; and the idle frame to warp, of
-    twice the resolution (2 H - 1, 2 W - 1)."""
+    `triangle_changes`; and the idle frame to warp, of twice the resolution (2 H - 1, 2 W - 1)."""
 
     triangle_seen: wp.array2d(dtype=wp.int32)
     barycentric: wp.array2d(dtype=wp.vec2)
@@ -320,11 +322,37 @@ class ImagePixels:
     vignetting: wp.array2d(dtype=wp.float32)
     idle: wp.array3d(dtype=wp.uint8)
     image: wp.array3d(dtype=wp.uint8)
-    triangles: wp.array2d(dtype=wp.int32)
-    pixel: wp.array(dtype=wp.vec2)
-    rest_pixel: wp.array(dtype=wp.vec2)
-    gain: wp.array(dtype=wp.vec3)
+    change: wp.array2d(dtype=vec8)
     fine_flat: wp.array2d(dtype=wp.vec3)
+
+
+@wp.func
+def corner_change(rest_pixel: wp.vec2, pixel: wp.vec2, gain: wp.vec3):
+    back = rest_pixel - pixel
+    return vec8(gain[0], gain[1], gain[2], 0.0, back[0], back[1], 0.0, 0.0)
+
+
+@wp.kernel
+def triangle_changes(
+    triangles: wp.array2d(dtype=wp.int32),
+    rest_pixel: wp.array(dtype=wp.vec2),
+    pixel: wp.array(dtype=wp.vec2),
+    gain: wp.array(dtype=wp.vec3),
+    change: wp.array2d(dtype=vec8),
+):
+    """What a pixel of each triangle interpolates: of the first corner the gain of brightness and,
+    from the fifth number on, the way back to its pixel at rest; of the others what they have more.
+
+    Pixels of a row see another triangle every few, and would wait for what its corners have.
+    """
+    face = wp.tid()
+    i0 = triangles[face, 0]
+    i1 = triangles[face, 1]
+    i2 = triangles[face, 2]
+    first = corner_change(rest_pixel[i0], pixel[i0], gain[i0])
+    change[face, 0] = first
+    change[face, 1] = corner_change(rest_pixel[i1], pixel[i1], gain[i1]) - first
+    change[face, 2] = corner_change(rest_pixel[i2], pixel[i2], gain[i2]) - first
 
 
 @wp.func
@@ -371,17 +399,14 @@ def warp_idle(pixels: ImagePixels, row_first: int):
         for channel in range(3):
             pixels.image[y, x, channel] = pixels.idle[y, x, channel]
         return
-    i0 = pixels.triangles[face, 0]
-    i1 = pixels.triangles[face, 1]
-    i2 = pixels.triangles[face, 2]
     weight = pixels.barycentric[y, x]
-    way = between_corners(
-        pixels.rest_pixel[i0] - pixels.pixel[i0],
-        pixels.rest_pixel[i1] - pixels.pixel[i1],
-        pixels.rest_pixel[i2] - pixels.pixel[i2],
-        weight,
+    mixed = (
+        pixels.change[face, 0]
+        + weight[0] * pixels.change[face, 1]
+        + weight[1] * pixels.change[face, 2]
     )
-    brightness = between_corners(pixels.gain[i0], pixels.gain[i1], pixels.gain[i2], weight)
+    way = wp.vec2(mixed[4], mixed[5])
+    brightness = wp.vec3(mixed[0], mixed[1], mixed[2])
     colour = warped_colour(pixels, x, y, way, brightness)
     for channel in range(3):
         pixels.image[y, x, channel] = wp.uint8(colour[channel])

@@ -146,7 +146,8 @@ class SkinRenderer:
         self._bands = cut(camera.height, band_count)
         self._finder: RasterFinder | RayQueryFinder
         if self._device.is_cpu:
-            self._finder = RasterFinder(camera, rays, self._triangles, band_count)
+            rest_pixel = camera.project(skin_mesh.rest_position_m)
+            self._finder = RasterFinder(camera, rays, skin_mesh.triangles, rest_pixel, band_count)
         else:
             vertices = self._optical(skin_mesh.rest_position_m)
             self._finder = RayQueryFinder(self._rays, self._triangles, vertices)

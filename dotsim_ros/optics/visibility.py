@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
-from dotsim_ros.io.arrays import Float32Array
+from dotsim_ros.io.arrays import Float32Array, FloatArray, IndexArray
 from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands
@@ -41,6 +41,7 @@ class RasterFinder:
         camera: the camera.
         rays: (H, W, 3) in the optical frame; one that is not finite sees nothing.
         triangles: (T, 3) int32 vertices of each.
+        rest_pixel: (V, 2) images of the vertices at rest, NaN where they have none.
         band_count: bands of rows that threads share.
 
     Raises:
@@ -48,7 +49,12 @@ class RasterFinder:
     """
 
     def __init__(
-        self, camera: Camera, rays: Float32Array, triangles: wp.array, band_count: int
+        self,
+        camera: Camera,
+        rays: Float32Array,
+        triangles: IndexArray,
+        rest_pixel: FloatArray,
+        band_count: int,
     ) -> None:
         if camera.width * camera.height < host_kernels.LANES:
             raise ValueError(
@@ -58,7 +64,10 @@ class RasterFinder:
         self._lens = lens_of(camera)
         parts = np.ascontiguousarray(np.moveaxis(rays, 2, 0))
         self._rays: wp.array = wp.array(parts, dtype=wp.float32, device="cpu")
-        self._triangles = triangles
+        self._triangles: wp.array = wp.array(triangles, dtype=wp.int32, device="cpu")
+        # Row by row, so that pixels stay in a core's cache while neighbours are drawn.
+        order = np.argsort(np.floor(rest_pixel[triangles[:, 0], 1]), kind="stable")
+        self._order: wp.array = wp.array(order, dtype=wp.int32, device="cpu")
         fewest_rows = -(-host_kernels.LANES // camera.width)
         self._bands = cut(camera.height, band_count, smallest=fewest_rows)
 
@@ -86,7 +95,16 @@ class RasterFinder:
             return wp.launch(
                 host_kernels.rasterize,
                 dim=len(self._triangles),
-                inputs=[position, pixel, self._triangles, self._rays, self._lens, first, end],
+                inputs=[
+                    position,
+                    pixel,
+                    self._triangles,
+                    self._order,
+                    self._rays,
+                    self._lens,
+                    first,
+                    end,
+                ],
                 outputs=[triangle, barycentric, depth],
                 device="cpu",
                 record_cmd=True,

@@ -104,7 +104,7 @@ def test_a_band_writes_nothing_beyond_its_last_row():
     # seen where the compiler stores all lanes; with masked stores nothing is lost either way.
     width, height, rows = 9, 4, 2
     camera = FisheyeCamera(width, height, 4.0, (4.0, 1.5))
-    # Every triangle covers the image.
+    # Every triangle covers the image, and the last of the mesh is drawn first.
     corners = np.array([[-9.0, -9.0, 1.0], [9.0, -9.0, 1.0], [0.0, 9.0, 1.0]], np.float32)
     triangles = np.tile(np.arange(3, dtype=np.int32), (20_000, 1))
     rays = np.ascontiguousarray(np.moveaxis(camera.rays()[0].astype(np.float32), 2, 0))
@@ -121,6 +121,7 @@ def test_a_band_writes_nothing_beyond_its_last_row():
             wp.array(corners, dtype=wp.vec3, device="cpu"),
             wp.array(100.0 * corners[:, :2], dtype=wp.vec2, device="cpu"),
             wp.array(triangles, dtype=wp.int32, device="cpu"),
+            wp.array(np.arange(len(triangles))[::-1], dtype=wp.int32, device="cpu"),
             wp.array(rays, dtype=wp.float32, device="cpu"),
             lens_of(camera),
             0,
@@ -142,6 +143,7 @@ def test_a_band_writes_nothing_beyond_its_last_row():
     thread.join()
     assert value > 1000
     assert lost == 0
+    # Of many at one distance the first of the mesh is seen.
     assert np.all(triangle.numpy()[:rows] == 0)
 
 
