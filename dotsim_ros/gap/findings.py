@@ -132,6 +132,26 @@ class ChannelGap:
 
 
 @dataclass(frozen=True)
+class UserGap:
+    """What the named effects do for a user, on the held-out trajectories.
+
+    Attributes:
+        channel, unit: "image" in dB (peak signal-to-noise ratio), "force" in N, "skin" in mm (RMS
+            error).
+        before, recalibrated: with the twin as it was, and once recalibrated.
+        after: with the named effects; None where none is.
+        floor: what noise and discretisation alone leave; None where it is not known.
+    """
+
+    channel: str
+    unit: str
+    before: float
+    recalibrated: float
+    after: float | None
+    floor: float | None
+
+
+@dataclass(frozen=True)
 class WorstFrame:
     """The frame with the largest residual before.
 
@@ -256,6 +276,8 @@ class OpticalFindings:
         candidates: in the order of their rank; the score is the statistic, `explained` is of the
             signature at the probe.
         gap: of the tiles' colours on the held-out trajectories, in grey levels.
+        psnr_db: of their images with the twin as it was, with the camera's gain and black level
+            fitted, and with the named effects, those of skin and force too; empty in older records.
         share_closed, share_closed_low, share_closed_high: of the gap of all observables of tiles,
             in expected deviations, with its interval; None if nothing was added.
         stability: share of bootstrap repetitions that gave the same name, or one of the set; None
@@ -279,6 +301,7 @@ class OpticalFindings:
     largest_excess: float = 0.0
     candidates: tuple[Candidate, ...] = ()
     gap: ChannelGap | None = None
+    psnr_db: tuple[float, ...] = ()
     share_closed: float | None = None
     share_closed_low: float | None = None
     share_closed_high: float | None = None
@@ -362,10 +385,28 @@ class Findings:
     questions: tuple[Question, ...] = ()
     optical: OpticalFindings | None = None
 
+    def user_gaps(self) -> tuple[UserGap, ...]:
+        """Return what a user gains, by channel, in the units that users think in."""
+        gaps = []
+        if self.optical is not None and self.optical.psnr_db:
+            before, alone, after = self.optical.psnr_db
+            gaps.append(UserGap("image", "dB", before, alone, after if self.named else None, None))
+        own = () if self.optical is None else self.optical.named
+        is_added = any(name not in own for name in self.named)
+        for gap in self.gaps:
+            unit, scale = ("mm", 1e3) if gap.unit == "m" else (gap.unit, 1.0)
+            stages = [scale * one for one in (gap.before, gap.recalibrated, gap.after, gap.floor)]
+            before, alone, after, floor = stages
+            gaps.append(
+                UserGap(gap.channel, unit, before, alone, after if is_added else None, floor)
+            )
+        return tuple(gaps)
+
 
 def as_record(findings: Findings) -> dict[str, Any]:
-    """Return findings as what JSON can hold."""
+    """Return findings as what JSON can hold, with `user_gaps` as a table."""
     record = {"version": VERSION, **asdict(findings), "verdict": findings.verdict.value}
+    record["user_gaps"] = [asdict(gap) for gap in findings.user_gaps()]
     if findings.optical is not None:
         record["optical"] = {
             **record["optical"],

@@ -219,6 +219,8 @@ def test_a_camera_that_changed_is_in_the_overlay(
     assert findings.optical is not None
     assert findings.optical.share_closed is not None
     assert findings.optical.share_closed > 0.7
+    _, recalibrated_db, after_db = findings.optical.psnr_db
+    assert after_db > recalibrated_db + 3.0
     assert overlay is not None
     (active,) = active_effects(overlay, load_effects())
     assert active.values["edge_loss"] == pytest.approx(0.12, rel=0.2)

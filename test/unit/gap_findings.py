@@ -91,7 +91,6 @@ def named() -> Findings:
         gaps=(
             ChannelGap("skin", "m", 0.21e-3, 0.15e-3, 0.052e-3, 0.05e-3),
             ChannelGap("force", "N", 0.31, 0.22, 0.05, 0.04),
-            ChannelGap("image", "grey levels", 3.2, 3.1, 3.1, 3.0),
         ),
         share_closed=0.96,
         share_closed_low=0.91,

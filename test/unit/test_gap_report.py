@@ -195,6 +195,22 @@ def test_a_named_effect_is_reported_with_its_numbers() -> None:
     assert "the name is not stable" not in text
 
 
+def test_what_a_user_gains_is_one_picture_and_a_table() -> None:
+    seen = replace(optical(Verdict.NAMED), psnr_db=(24.1, 25.0, 31.2))
+    both = combined(replace(named(), worst=None, places=()), seen)
+    table = [list(row.values()) for row in as_record(both)["user_gaps"]]
+    assert table[0] == ["image", "dB", 24.1, 25.0, 31.2, None]
+    assert table[1] == ["skin", "mm", *(pytest.approx(one) for one in (0.21, 0.15, 0.052, 0.05))]
+    assert table[2] == ["force", "N", 0.31, 0.22, 0.05, 0.04]
+    files = report_files(both, {}, {})
+    first = files["report.md"].decode().split("## At a glance")[1].split("## ")[0]
+    assert "image, dB: before 24.1, recalibrated 25, after 31.2; skin, mm: before" in first
+    assert "](user_gaps.png)" in first
+    # What is named in the images adds nothing to skin and force.
+    of_images = combined(replace(unknown(), worst=None, places=()), seen).user_gaps()
+    assert [gap.after for gap in of_images] == [31.2, None, None]
+
+
 def test_a_set_comes_with_what_would_separate_it() -> None:
     text = text_of(plain(of_set()))
     assert "slides in two opposite directions" in text
@@ -215,7 +231,7 @@ def test_nothing_named_has_no_after() -> None:
     files = report_files(findings, {}, {})
     assert not [name for name in files if "after" in name]
     text = files["report.md"].decode()
-    assert "No effect was added" in text
+    assert "no effect was added" in text
     assert "changes the residual of the held-out trajectories: force 0.22 N to 0.1 N. It is" in text
     assert "expected 67 % at least to name it" in text
 

@@ -38,6 +38,7 @@ from dotsim_ros.gap.images.case import (
     optical_case,
 )
 from dotsim_ros.gap.images.fit import (
+    Fitted,
     ImageSearch,
     OpticalAnswer,
     mean_squares,
@@ -58,6 +59,7 @@ from dotsim_ros.gel.values import values_of
 from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.io.cores import single_threaded
 from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.image_metrics import image_psnr_db
 
 LEAST_TRAJECTORIES = 4
 RESAMPLED = 200
@@ -235,8 +237,16 @@ def find_optical(
     answer = search.answer()
     silent = [effect for effect in known if effect not in tried]
     seen = _optical_findings(search, answer, locked, {e.name: e for e in effects}, silent, random)
+    judged = _judged(search, locked)
+    untouched = case
+    if overlay is not None:
+        names_judged = [shot.name for shot in judged]
+        own = [one for one in images.trajectories if one.recording.name in names_judged]
+        untouched = case_of(request, replace(images, trajectories=tuple(own)), model, progress)
+        solves += untouched.solve_count
     seen = replace(
         seen,
+        psnr_db=_psnr_db(case, judged, untouched, answer.named),
         sentence=f"{seen.sentence} {untried}" if not_tried else seen.sentence,
         not_tried=names,
         warnings=(*warnings, *seen.warnings),
@@ -269,7 +279,7 @@ def _optical_findings(
     random: np.random.Generator,
 ) -> OpticalFindings:
     case, null = search.case, search.null
-    judged = case.of(locked) or [s for s in search.shots if s.name != IDLE] or search.shots
+    judged = _judged(search, locked)
     before = [shot.residual for shot in judged]
     after = without_effects(case, judged, before, answer.named)
     closed: Closed = (None, None, None)
@@ -312,6 +322,46 @@ def _optical_findings(
         frame_count=sum(len(shot.measured) for shot in case.shots),
         noise_source=null.source,
     )
+
+
+def _judged(search: ImageSearch, locked: Sequence[str]) -> Sequence[Shot]:
+    """Return the shots that the named effects are judged on: the locked ones, where there are."""
+    searched = [shot for shot in search.shots if shot.name != IDLE]
+    return search.case.of(locked) or searched or search.shots
+
+
+def _psnr_db(
+    case: OpticalCase, judged: Sequence[Shot], untouched: OpticalCase, named: Sequence[Fitted]
+) -> tuple[float, ...]:
+    """Return the mean peak signal-to-noise ratio of the frames of shots, in the tiles: with the
+    twin as it was, with one gain and one black level of the camera fitted, and so with the named
+    effects; empty where the twin as it was could not be solved.
+
+    Args:
+        case: of all images, its gel with the named effects.
+        judged: some of its shots.
+        untouched: with the gel of the twin as it was.
+        named: effects of the images.
+    """
+    before = untouched.of([shot.name for shot in judged])
+    if len(before) != len(judged):
+        return ()
+    inside = case.meter.grid.tile >= 0
+    measured = np.concatenate([shot.measured[:, inside] for shot in judged]).astype(np.float64)
+    active = [one.active for one in named]
+
+    def with_camera(seen: FloatArray) -> FloatArray:
+        columns = np.stack([seen.ravel(), np.ones(seen.size)], axis=1)
+        fit = np.linalg.lstsq(columns, measured.ravel(), rcond=None)[0]
+        return np.asarray((columns @ fit).reshape(seen.shape))
+
+    def psnr(seen: FloatArray) -> float:
+        frames = zip(seen, measured, strict=True)
+        return float(np.mean([image_psnr_db(one, other) for one, other in frames]))
+
+    plain = np.concatenate([shot.film.pixels[:, inside] for shot in before]).astype(np.float64)
+    after = [shot.film.with_effects(active)[:, inside].astype(np.float64) for shot in judged]
+    return psnr(plain), psnr(with_camera(plain)), psnr(with_camera(np.concatenate(after)))
 
 
 def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> Effect | None:

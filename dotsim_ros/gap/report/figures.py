@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from dotsim_ros.data.recording import Phase
 from dotsim_ros.gap.findings import (
     ALL,
-    ChannelGap,
     Findings,
     OpticalFindings,
     ResidualPlace,
     TileGap,
+    UserGap,
     Verdict,
     WorstFrame,
 )
@@ -41,6 +41,7 @@ MISFIT_COLOURS = "viridis"
 HEAT_COLOURS = "YlOrRd"
 MOST_CANDIDATES = 12
 MOST_ROWS = 30
+_PANEL_INCHES, _BAR_INCHES = 0.32, 0.19
 _MAP_PX = 320
 _MAP_INCHES = (1.75, 2.3)
 _LONGEST_LABEL = 22
@@ -71,22 +72,43 @@ def quantity(value: float, unit: str) -> str:
     return f"{shown(value, unit):.3g} {shown_unit(unit)}".rstrip()
 
 
-def gap_bars(gap: ChannelGap, *, with_after: bool) -> ReportImage:
-    """Return a channel's RMS at each stage; that after only where an effect was added."""
-    stages = [stage for stage in STAGE_COLOURS if with_after or stage != "after"]
-    values = [shown(getattr(gap, stage), gap.unit) for stage in stages]
-    with page_figure(LARGEST_WIDTH_INCHES, 0.6 + 0.24 * len(stages)) as figure:
-        axes = figure.add_subplot()
-        bars = axes.barh(stages, values, color=[STAGE_COLOURS[stage] for stage in stages])
-        axes.bar_label(bars, [f"{value:.3g}" for value in values], padding=3)
-        axes.invert_yaxis()
-        axes.set_xlim(0.0, 1.2 * max(*values, 1e-12))
-        axes.set_title(f"{gap.channel}: RMS, {shown_unit(gap.unit)}", loc="left")
-        axes.tick_params(left=False)
-        alt = f"{gap.channel}, RMS in {shown_unit(gap.unit)}: " + ", ".join(
-            f"{stage} {value:.3g}" for stage, value in zip(stages, values, strict=True)
+GAP_TITLES = {
+    "image": "Image: PSNR, dB (more is better)",
+    "force": "Force: RMS error, N (less is better)",
+    "skin": "Skin: RMS error, mm (less is better)",
+}
+
+
+def user_gap_image(gaps: Sequence[UserGap]) -> list[ReportImage]:
+    """Return image, force and skin at each stage in one picture; nothing without any of them."""
+    if not gaps:
+        return []
+    stages = [
+        {stage: v for stage in STAGE_COLOURS if (v := getattr(gap, stage)) is not None}
+        for gap in gaps
+    ]
+    counts = [len(one) for one in stages]
+    height = sum(_PANEL_INCHES + _BAR_INCHES * count for count in counts)
+    with page_figure(LARGEST_WIDTH_INCHES, height) as figure:
+        panels = figure.subplots(
+            len(gaps), 1, squeeze=False, gridspec_kw={"height_ratios": [1 + n for n in counts]}
         )
-        return image_of(figure, name=f"gap_{gap.channel}", alt=alt)
+        for axes, gap, values in zip(panels[:, 0], gaps, stages, strict=True):
+            colours = [STAGE_COLOURS[stage] for stage in values]
+            bars = axes.barh(list(values), list(values.values()), color=colours)
+            axes.bar_label(bars, [f"{value:.3g}" for value in values.values()], padding=3)
+            axes.invert_yaxis()
+            axes.set_xlim(0.0, 1.2 * max(*values.values(), 1e-12))
+            axes.set_title(GAP_TITLES[gap.channel], loc="left")
+            axes.tick_params(left=False)
+            axes.set_xticks([])
+            axes.spines["bottom"].set_visible(False)
+        alt = "; ".join(
+            f"{gap.channel}, {gap.unit}: "
+            + ", ".join(f"{stage} {value:.3g}" for stage, value in values.items())
+            for gap, values in zip(gaps, stages, strict=True)
+        )
+        return [image_of(figure, name="user_gaps", alt=alt)]
 
 
 class PlaceTable(NamedTuple):
@@ -179,14 +201,11 @@ def heatmap(table: PlaceTable, values: FloatArray, *, name: str, title: str) -> 
 
 
 def tile_images(own: OpticalFindings | None) -> list[ReportImage]:
-    """Return the gap of the images, as a whole and by tile; none where they were not searched."""
-    if own is None or own.verdict is Verdict.UNUSABLE:
+    """Return the gap of the images by tile; none where they were not searched."""
+    if own is None or own.verdict is Verdict.UNUSABLE or not own.tiles:
         return []
-    images = [] if own.gap is None else [gap_bars(own.gap, with_after=bool(own.named))]
-    if own.tiles:
-        stages = ("before", "after") if own.named else ("before",)
-        images += [tile_map(own.tiles, stage) for stage in stages]
-    return images
+    stages = ("before", "after") if own.named else ("before",)
+    return [tile_map(own.tiles, stage) for stage in stages]
 
 
 def tile_map(tiles: tuple[TileGap, ...], stage: str) -> ReportImage:

@@ -16,13 +16,13 @@ from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, Findings, OpticalFindings, Verdict
 from dotsim_ros.gap.report.figures import (
-    gap_bars,
     place_images,
     quantity,
     ranking,
     shown,
     shown_unit,
     tile_images,
+    user_gap_image,
     worst_frame,
 )
 from dotsim_ros.io.page import template_files
@@ -59,8 +59,8 @@ def report_files(
     gel = _without_images(findings)
     label, colour = LABELS[findings.verdict]
     galleries = {
+        "user_gaps": user_gap_image(findings.user_gaps()),
         "images": tile_images(own),
-        "gaps": [gap_bars(gap, with_after=bool(gel.named)) for gap in gel.gaps],
         "places": place_images(gel),
         "worst": [] if gel.worst is None else worst_frame(gel.worst, with_after=bool(gel.named)),
         "ranking": ranking(gel),
