@@ -98,7 +98,7 @@ def test_lerobot_reads_it(bags, tmp_path):
     for images in ("png", "mp4"):
         folder = tmp_path / images
         assert convert(*bags, "--out", folder, "--images", images) == 0
-        read = reading.LeRobotDataset("local/press", root=folder, video_backend="pyav")
+        read = reading.LeRobotDataset("local/press", root=folder)
         assert read.num_episodes == 2
         frame = read[COUNT + 2]
         assert frame["task"] == "touch"

@@ -126,7 +126,7 @@ def test_lerobot_reads_what_was_written(tmp_path: Path) -> None:
         "lerobot.datasets.lerobot_dataset", reason="lerobot is not installed"
     )
     _write(tmp_path)
-    read = module.LeRobotDataset("local/touches", root=tmp_path, video_backend="pyav")
+    read = module.LeRobotDataset("local/touches", root=tmp_path)
     assert (len(read), read.num_episodes) == (sum(LENGTHS), len(LENGTHS))
     row = 0
     for number, count in enumerate(LENGTHS):
