@@ -5,14 +5,16 @@
 skin and wrench, `press_each` for many gels, `see` for the depth image and markers of a skin.
 
 The gel is solved to rounding and differentiated by its adjoint, friction's history included
-(`gel.adjoint`), so that a frame takes about ten times as long as one of `TactileSensor`. Without
-torch, `gel.adjoint.backward.trajectory_gradient` gives the same derivatives of NumPy arrays.
+(`gel.adjoint`): a frame takes about five times as long as one of `TactileSensor`, its derivatives
+less than that. Without torch, `gel.adjoint.backward.trajectory_gradient` gives the same derivatives
+of NumPy arrays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,10 +22,12 @@ import torch
 
 from dotsim_ros.gel.adjoint.backward import trajectory_gradient
 from dotsim_ros.gel.adjoint.gradient import Gradient, LossGradient
-from dotsim_ros.gel.adjoint.recorder import Recorder
+from dotsim_ros.gel.adjoint.recorder import GelTrajectory, Recorder
 from dotsim_ros.gel.adjoint.refinement_rate import poisson_rate
+from dotsim_ros.gel.adjoint.rest_points import RestPoints
 from dotsim_ros.gel.body import Dome, Pad
 from dotsim_ros.gel.implicit.gel import ImplicitGel
+from dotsim_ros.gel.implicit.refinement import Refinement
 from dotsim_ros.gel.make import body_of, bond_of, law_of, make_gel_batch, skin_of
 from dotsim_ros.gel.material import ElasticLaw
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
@@ -107,23 +111,16 @@ def press(
             zero, a thickness of a dome without a core, or a gel that has come off its core.
         NoEquilibriumError: a frame did not settle.
     """
-    unknown = sorted(set(values) - set(PARAMETERS))
-    if unknown:
-        raise TypeError(
-            f"press() has no parameter {unknown[0]!r}, expected some of {', '.join(PARAMETERS)}"
-        )
-    if "thickness_m" in values and sensor.gel.shape == "dome" and not sensor.gel.core_radius_m:
-        raise ValueError("thickness_m is given, and a dome without a core has none: leave it out")
-    twist = _zeros(pose_twist, "pose_twist", (len(poses), 6))
-    offset = _zeros(pose_offset, "pose_offset", (6,))
-    names = tuple(values)
-    # torch would round a plain number to single precision.
-    tensors = [
-        v if isinstance(v, torch.Tensor) else torch.tensor(v, dtype=torch.float64)
-        for v in values.values()
-    ]
-    case = _Case(sensor, indenter, list(poses), dt_s, names)
-    return Touch(*_Press.apply(case, twist, offset, *tensors))
+    each = press_each(
+        sensor,
+        [indenter],
+        [poses],
+        dt_s=dt_s,
+        pose_twist=_zeros(pose_twist, "pose_twist", (len(poses), 6))[None],
+        pose_offset=_zeros(pose_offset, "pose_offset", (6,))[None],
+        **values,
+    )
+    return Touch(*(found[0] for found in each))
 
 
 def press_each(
@@ -136,7 +133,9 @@ def press_each(
     pose_offset: torch.Tensor | None = None,
     **values: torch.Tensor | float,
 ) -> Touch:
-    """Return what `press` does for B gels, one after the other, with an axis B before the others.
+    """Return what `press` does for B gels, with an axis B before the others.
+
+    Gels with the same values share what is computed from these; each is solved by itself.
 
     Args:
         sensor, dt_s: as for `press`, of all gels.
@@ -148,19 +147,31 @@ def press_each(
     Raises:
         as `press`; ValueError where a number of gels or frames differs from the others.
     """
+    unknown = sorted(set(values) - set(PARAMETERS))
+    if unknown:
+        raise TypeError(
+            f"press() has no parameter {unknown[0]!r}, expected some of {', '.join(PARAMETERS)}"
+        )
+    if "thickness_m" in values and sensor.gel.shape == "dome" and not sensor.gel.core_radius_m:
+        raise ValueError("thickness_m is given, and a dome without a core has none: leave it out")
     count = len(poses)
-    given = {"pose_twist": pose_twist, "pose_offset": pose_offset, **values}
-    each = {n: v for n, v in given.items() if isinstance(v, torch.Tensor) and v.dim() > 0}
-    lengths = {"indenters": len(indenters)} | {name: len(v) for name, v in each.items()}
+    # torch would round a plain number to single precision.
+    tensors = {
+        name: v if isinstance(v, torch.Tensor) else torch.tensor(v, dtype=torch.float64)
+        for name, v in values.items()
+    }
+    lengths = {"indenters": len(indenters)}
+    lengths |= {name: len(v) for name, v in tensors.items() if v.dim() > 0}
     if wrong := [f"{length} {name}" for name, length in lengths.items() if length != count]:
         raise ValueError(f"{', '.join(wrong)} for {count} gels, expected as many")
-    if len({len(path) for path in poses}) != 1:
+    frames = {len(path) for path in poses}
+    if len(frames) != 1:
         raise ValueError("the gels have different numbers of poses, or none, expected as many each")
-    touches = []
-    for b in range(count):
-        own: dict[str, Any] = given | {name: v[b] for name, v in each.items()}
-        touches.append(press(sensor, indenters[b], poses[b], dt_s=dt_s, **own))
-    return Touch(*(torch.stack(found) for found in zip(*touches, strict=True)))
+    twist = _zeros(pose_twist, "pose_twist", (count, frames.pop(), 6))
+    offset = _zeros(pose_offset, "pose_offset", (count, 6))
+    case = _Case(sensor, list(indenters), [list(path) for path in poses], dt_s, tuple(tensors))
+    spread = [v.expand(count) for v in tensors.values()]
+    return Touch(*_Press.apply(case, twist, offset, *spread))
 
 
 def see(
@@ -245,33 +256,27 @@ def _zeros(given: torch.Tensor | None, name: str, shape: tuple[int, ...]) -> tor
     return given
 
 
-class _Case:
-    """What `press` got that has no derivatives, and how the gel went through it."""
+class _Model:
+    """The gel with some values of its parameters."""
 
     def __init__(
-        self,
-        sensor: SensorSpecification,
-        indenter: Indenter,
-        poses: list[Pose],
-        dt_s: float,
-        names: tuple[str, ...],
+        self, sensor: SensorSpecification, indenter: Indenter, given: dict[str, float]
     ) -> None:
-        self.sensor, self.indenter, self.poses = sensor, indenter, poses
-        self.dt_s, self.names = dt_s, names
-
-    def run(self, values: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return skin, forces and torques of all frames."""
-        given: dict[str, Any] = dict(zip(self.names, values, strict=True))
-        self.values: GelValues = replace(values_of(self.sensor), **given)
+        self.sensor, self.indenter = sensor, indenter
+        changes: dict[str, Any] = given
+        self.values: GelValues = replace(values_of(sensor), **changes)
         self.own_gel = self._own_gel()
         self.gel = self._stretched(self.own_gel)
-        self.recorder = Recorder(self.gel)
-        states = [self.recorder.step([pose], self.dt_s)[0] for pose in self.poses]
-        return (
-            np.stack([state.skin_position_m for state in states]),
-            np.stack([state.wrench.force_n for state in states]),
-            np.stack([state.wrench.torque_nm for state in states]),
-        )
+
+    @cached_property
+    def poisson_rate(self) -> Refinement | None:
+        """How the gel's refinement varies with Poisson's ratio; None for a gel without one."""
+        return None if self.gel.refinement is None else poisson_rate(self.own_gel)
+
+    @cached_property
+    def points(self) -> RestPoints:
+        """The gel's particles, markers and bonded points."""
+        return RestPoints(self.gel)
 
     def _own_gel(self) -> ImplicitGel:
         """Return a gel of the sensor's own thickness with the values.
@@ -312,14 +317,6 @@ class _Case:
         stretched.refinement = gel.refinement
         return stretched
 
-    def gradient(self, losses: Sequence[LossGradient]) -> Gradient:
-        """Return the derivatives of a loss by everything."""
-        rate = None
-        if "poisson_ratio" in self.names and self.gel.refinement is not None:
-            rate = poisson_rate(self.own_gel)
-        trajectory = self.recorder.trajectories[0]
-        return trajectory_gradient(self.gel, trajectory, losses, by_poisson=rate)
-
     def by_value(self, gradient: Gradient, name: str) -> float:
         """Return the derivative by a value."""
         if name == "friction":
@@ -340,23 +337,76 @@ class _Case:
 
         return gradient.along(law_at, value, step)
 
-    def by_pose(self, gradient: Gradient) -> FloatArray:
+
+class _Case:
+    """What `press_each` got that has no derivatives, and how the gels went through it."""
+
+    def __init__(
+        self,
+        sensor: SensorSpecification,
+        indenters: list[Indenter],
+        poses: list[list[Pose]],
+        dt_s: float,
+        names: tuple[str, ...],
+    ) -> None:
+        self.sensor, self.indenters, self.poses = sensor, indenters, poses
+        self.dt_s, self.names = dt_s, names
+
+    def run(self, values: FloatArray) -> list[FloatArray]:
+        """Return skin, forces and torques of all gels and frames, for values (B, n) by names."""
+        known: dict[tuple[float, ...], _Model] = {}
+        self.models: list[_Model] = []
+        self.trajectories: list[GelTrajectory] = []
+        skin, force, torque = [], [], []
+        for indenter, poses, own in zip(self.indenters, self.poses, values.tolist(), strict=True):
+            key = tuple(own)
+            if key not in known:
+                given = dict(zip(self.names, own, strict=True))
+                known[key] = _Model(self.sensor, indenter, given)
+            model = known[key]
+            _set_indenter(model.gel, indenter)
+            recorder = Recorder(model.gel)
+            states = [recorder.step([pose], self.dt_s)[0] for pose in poses]
+            self.models.append(model)
+            self.trajectories.append(recorder.trajectories[0])
+            skin.append([state.skin_position_m for state in states])
+            force.append([state.wrench.force_n for state in states])
+            torque.append([state.wrench.torque_nm for state in states])
+        return [np.array(found) for found in (skin, force, torque)]
+
+    def gradient(self, number: int, losses: Sequence[LossGradient]) -> list[Any]:
+        """Return the derivatives of a loss of one gel by the twists of its poses, by their offset,
+        and by each value."""
+        model = self.models[number]
+        rate = model.poisson_rate if "poisson_ratio" in self.names else None
+        _set_indenter(model.gel, self.indenters[number])
+        found = trajectory_gradient(
+            model.gel,
+            self.trajectories[number],
+            losses,
+            by_poisson=rate,
+            points=model.points,
+        )
+        by_value = [model.by_value(found, name) for name in self.names]
+        return [self.by_pose(number, found), found.indenter_offset, *by_value]
+
+    def by_pose(self, number: int, gradient: Gradient) -> FloatArray:
         """Return the derivatives (T, 6) by the twist of each pose: those of a substep belong to the
         poses before and after it, by the share of the way between them."""
-        trajectory = self.recorder.trajectories[0]
-        result = np.zeros((len(self.poses), 6))
+        trajectory, poses = self.trajectories[number], self.poses[number]
+        result = np.zeros((len(poses), 6))
         first = 0
         for frame, end in enumerate(trajectory.step_end):
-            for number in range(first, end):
-                contact = trajectory.substeps[number].contact
+            for substep in range(first, end):
+                contact = trajectory.substeps[substep].contact
                 share = 1.0
                 if frame > 0 and contact is not None:
-                    start_m = self.poses[frame - 1].position_m
-                    way_m = np.linalg.norm(self.poses[frame].position_m - start_m)
+                    start_m = poses[frame - 1].position_m
+                    way_m = np.linalg.norm(poses[frame].position_m - start_m)
                     if way_m > 0.0:
                         done_m = np.linalg.norm(contact.pose.position_m - start_m)
                         share = min(1.0, float(done_m / way_m))
-                twist = gradient.substep_twist[number]
+                twist = gradient.substep_twist[substep]
                 result[frame] += share * twist
                 if frame > 0:
                     result[frame - 1] += (1.0 - share) * twist
@@ -364,8 +414,13 @@ class _Case:
         return result
 
 
+def _set_indenter(gel: ImplicitGel, indenter: Indenter) -> None:
+    if gel.contact.indenter is not indenter:
+        gel.set_indenter(indenter)
+
+
 class _Press(torch.autograd.Function):
-    """`press` as torch sees it."""
+    """`press_each` as torch sees it."""
 
     @staticmethod
     def forward(
@@ -373,17 +428,19 @@ class _Press(torch.autograd.Function):
     ) -> tuple[torch.Tensor, ...]:
         ctx.case = case
         ctx.like = (twist, offset, *values)
-        return tuple(torch.as_tensor(found) for found in case.run([float(v) for v in values]))
+        given = np.array([v.detach().double().cpu().numpy() for v in values])
+        each = given.T if values else np.zeros((len(case.poses), 0))
+        return tuple(torch.as_tensor(found) for found in case.run(each))
 
     @staticmethod
     def backward(ctx: Any, *by_output: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        skin, force, torque = (found.numpy() for found in by_output)
-        losses = [LossGradient(*frame) for frame in zip(skin, force, torque, strict=True)]
         case: _Case = ctx.case
-        gradient = case.gradient(losses)
-        found: list[Any] = [case.by_pose(gradient), gradient.indenter_offset]
-        found += [case.by_value(gradient, name) for name in case.names]
+        by_gel = zip(*(found.numpy() for found in by_output), strict=True)
+        found = [
+            case.gradient(number, [LossGradient(*frame) for frame in zip(*by, strict=True)])
+            for number, by in enumerate(by_gel)
+        ]
         return None, *(
-            torch.as_tensor(value, dtype=like.dtype).reshape(like.shape)
-            for value, like in zip(found, ctx.like, strict=True)
+            torch.as_tensor(np.array(value), dtype=like.dtype).reshape(like.shape)
+            for value, like in zip(zip(*found, strict=True), ctx.like, strict=True)
         )

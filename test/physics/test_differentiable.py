@@ -99,6 +99,28 @@ def test_the_derivative_by_an_offset_is_that_of_all_poses_moved_along_the_indent
     assert float(gradient["offset"].grad[2]) == pytest.approx(expected, rel=1e-3)
 
 
+def test_gels_that_share_their_values_have_the_derivatives_of_each_alone():
+    shapes = [load_indenter("sphere_4mm"), load_indenter("box_edge")]
+    paths = [PATH, [*PATH[:3], PATH[1]]]
+
+    def given(*before: int) -> tuple[torch.Tensor, torch.Tensor]:
+        friction = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
+        twist = torch.zeros(*before, 4, 6, dtype=torch.float64, requires_grad=True)
+        return friction, twist
+
+    friction, twist = given(2)
+    touch = press_each(SENSOR, shapes, paths, pose_twist=twist, friction=friction)
+    sum(loss_of(Touch(*each)) for each in zip(*touch, strict=True)).backward()
+    by_friction = 0.0
+    for b in (0, 1):
+        own_friction, own_twist = given()
+        own = press(SENSOR, shapes[b], paths[b], pose_twist=own_twist, friction=own_friction)
+        loss_of(own).backward()
+        by_friction += own_friction.grad
+        torch.testing.assert_close(twist.grad[b], own_twist.grad, rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(friction.grad, by_friction, rtol=1e-6, atol=0.0)
+
+
 @pytest.mark.parametrize(
     ("name", "spacing_m", "shares"),
     [("densetact2", 3.6e-3, (1.0, 1.1)), ("flat_pad", 2.0e-3, (0.97, 0.95))],

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from dotsim_ros.gel.adjoint.differentiable_contact import ContactAdjoint
 from dotsim_ros.gel.adjoint.gradient import Gradient, LossGradient
 from dotsim_ros.gel.adjoint.kernels import adjoint_kernels
 from dotsim_ros.gel.adjoint.loaded_contact import LoadedContact
-from dotsim_ros.gel.adjoint.recorder import ContactRecord, GelTrajectory, Substep, elastic_stiffness
+from dotsim_ros.gel.adjoint.recorder import ContactRecord, GelTrajectory, Substep, elastic_forces
 from dotsim_ros.gel.adjoint.rest_points import RestPoints, pulled
 from dotsim_ros.gel.elasticity import BOND_STIFFNESS, GHOST_PENALTY
 from dotsim_ros.gel.implicit.contact import REFERENCE_SPACING_M
@@ -51,6 +52,7 @@ def trajectory_gradient(
     *,
     environment: int = 0,
     by_poisson: Refinement | None = None,
+    points: RestPoints | None = None,
 ) -> Gradient:
     """Return the derivatives of a loss of one environment's recorded steps.
 
@@ -61,6 +63,7 @@ def trajectory_gradient(
         environment: which of the gel's.
         by_poisson: `refinement_rate.poisson_rate` of the gel; None leaves out how the refinement
             varies with Poisson's ratio.
+        points: of the gel; None to compute them, which takes longer than a substep.
 
     Raises:
         ValueError: another number of steps than recorded, or a derivative of a wrong shape.
@@ -70,7 +73,7 @@ def trajectory_gradient(
             f"{len(loss_gradient)} loss gradients for {len(trajectory.step_end)} recorded steps"
         )
     shape = gel.skin.rest_position_m.shape
-    backward = _Backward(gel, environment, by_poisson)
+    backward = _Backward(gel, environment, by_poisson, points or RestPoints(gel))
     losses: list[LossGradient | None] = [None] * len(trajectory.substeps)
     for step, loss in enumerate(loss_gradient):
         if loss is None:
@@ -129,8 +132,15 @@ class _Sums:
 class _Backward:
     """Goes back through the substeps, last first."""
 
-    def __init__(self, gel: ImplicitGel, environment: int, by_poisson: Refinement | None) -> None:
+    def __init__(
+        self,
+        gel: ImplicitGel,
+        environment: int,
+        by_poisson: Refinement | None,
+        points: RestPoints,
+    ) -> None:
         self.gel, self.environment, self.by_poisson = gel, environment, by_poisson
+        self.points = points
         d = gel.discretization
         terms = len(gel.material.prony.shares)
         self.carried = _Carried(
@@ -142,7 +152,6 @@ class _Backward:
                 np.zeros((terms, d.particle_count, 3, 3)), np.zeros((d.particle_count, 3, 3))
             ),
         )
-        self.points = RestPoints(gel)
         bonded = len(self.points.bonded_m)
         self.sums = _Sums(
             coefficients=np.zeros(5),
@@ -177,7 +186,7 @@ class _Backward:
         by_skin = contact.add_to(by_skin)
         fast_share, history_pa = self._history(substep)
         virtual, by_force, by_position = contact.solve(
-            elastic_stiffness(gel, substep.displacement_m, substep.inertia, self.environment),
+            partial(elastic_forces, gel, substep.inertia, self.environment),
             by_node,
             by_skin,
         )

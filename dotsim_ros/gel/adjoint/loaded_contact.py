@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-from scipy import sparse
 
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
 from dotsim_ros.gel.adjoint.equilibrium import (
-    ElasticFactor,
+    EXACT,
     EquilibriumLinearisation,
     contact_on_nodes,
     contact_response_matrix,
@@ -34,7 +35,7 @@ class LoadedContact:
         loss: LossGradient,
         by_memory: FloatArray,
     ) -> None:
-        self.gel, self.loss = gel, loss
+        self.gel, self.loss, self.displacement_m = gel, loss, substep.displacement_m
         self.marker = np.zeros(0, dtype=np.int32)
         self.marker_contact: MarkerContact | None = None
         self.by_slip = np.zeros((0, 3))
@@ -62,16 +63,17 @@ class LoadedContact:
         return result
 
     def solve(
-        self, stiffness: sparse.csr_matrix, by_node: FloatArray, by_skin: FloatArray
+        self, forces: Callable[[FloatArray], FloatArray], by_node: FloatArray, by_skin: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the virtual displacement (N, 3), and the derivatives by the forces (A, 3) and by
         the positions of the skin (V, 3) once all follows from equilibrium."""
         gel = self.gel
         right = by_node + gel.skin_weight.T @ by_skin
-        node_cell = gel.discretization.node_cell
+        rest = gel.compliance_at_rest
         if self.marker_contact is None:
-            factor = ElasticFactor(stiffness, node_cell, np.zeros(0, dtype=np.int32))
-            return factor.solve(right.ravel()).reshape(-1, 3), np.zeros((0, 3)), by_skin
+            nowhere = np.zeros(0, dtype=np.int32), np.zeros((0, 0))
+            linear = EquilibriumLinearisation(forces, self.displacement_m, rest, *nowhere)
+            return linear.solve(right.ravel(), EXACT).reshape(-1, 3), np.zeros((0, 3)), by_skin
         own = self.marker_contact.stiffness()
         fine = None if gel.refinement is None else fine_part(gel.refinement, self.marker)
         response = contact_response_matrix(own, fine, np.arange(len(own)))
@@ -83,10 +85,9 @@ class LoadedContact:
         # With phi = (1 - B H^T)^-1 (by_force + S lambda): H^T phi = response^T (...)
         pulled = (response.T @ by_force.ravel()).reshape(-1, 3)
         right = right + weight.T @ pulled
-        solver = EquilibriumLinearisation(
-            ElasticFactor(stiffness, node_cell, node), contact_on_nodes(response, weight, node)
-        )
-        virtual = solver.solve_transposed(right.ravel()).reshape(-1, 3)
+        loaded = contact_on_nodes(response, weight, node)
+        linear = EquilibriumLinearisation(forces, self.displacement_m, rest, node, loaded.T)
+        virtual = linear.solve(right.ravel(), EXACT).reshape(-1, 3)
         total = by_force + weight @ virtual
         pulled = (response.T @ total.ravel()).reshape(-1, 3)
         if fine is not None:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
 from dotsim_ros.gel.adjoint.equilibrium import Candidates, fine_part, settle
@@ -88,7 +88,7 @@ class GelTrajectory:
 class Recorder:
     """Steps a gel and keeps what its adjoint needs.
 
-    Every substep is solved to rounding, with friction limited by the current pressure: about ten
+    Every substep is solved to rounding, with friction limited by the current pressure: about five
     times as slow as a plain step. Begin with a pose outside the gel: the way that the gel itself
     chooses to a first pose inside depends on the skin's size, which derivatives leave out.
 
@@ -139,17 +139,12 @@ class Recorder:
     ) -> Point:
         gel = self.gel
 
-        def forces(displacement_m: FloatArray) -> FloatArray:
-            return gel.elastic(displacement_m, inertia, environment)[1]
-
-        def stiffness(displacement_m: FloatArray) -> sparse.csr_matrix:
-            return elastic_stiffness(gel, displacement_m, inertia, environment)
-
+        forces = partial(elastic_forces, gel, inertia, environment)
         candidates = None
         if pose is not None and world.patch is not None and world.history is not None:
             candidates = _candidates(gel, world, pose, point)
-        cell = gel.discretization.node_cell
-        settled = settle(point.displacement_m, cell, forces, stiffness, candidates)
+        rest = gel.compliance_at_rest
+        settled = settle(point.displacement_m, rest, forces, candidates)
         displacement = settled.displacement_m
         contact, lag = None, _present(np.zeros(0))
         if pose is not None and candidates is not None:
@@ -185,14 +180,11 @@ def _present(pressure_pa: FloatArray) -> Lag:
     return Lag(pressure_pa, np.zeros((len(pressure_pa), 3)))
 
 
-def elastic_stiffness(
-    gel: ImplicitGel, displacement_m: FloatArray, inertia: Inertia | None, environment: int
-) -> sparse.csr_matrix:
-    """Return the derivative (3 N, 3 N) of the forces of elasticity and inertia."""
-    result = gel.body.stiffness(displacement_m, environment)
-    if inertia is not None:
-        result = result + sparse.kron(inertia.stiffness, sparse.eye(3))
-    return result.tocsr()
+def elastic_forces(
+    gel: ImplicitGel, inertia: Inertia | None, environment: int, displacement_m: FloatArray
+) -> FloatArray:
+    """Return the nodal forces (N, 3) of elasticity and inertia at displacements (N, 3)."""
+    return gel.elastic(displacement_m, inertia, environment)[1]
 
 
 def _memory(world: World) -> FloatArray:
@@ -207,13 +199,9 @@ def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: Point) -> Can
     marker = world.patch.marker
     memory = _memory(world)[marker]
     area = gel.points.area_m2(world.bearer)[marker]
-    rotation = pose.rotation()
 
     def respond(rows: NDArray[np.int64], position_m: FloatArray) -> MarkerContact:
         return MarkerContact(gel.contact, area[rows], position_m, pose, memory[rows])
-
-    def distance(position_m: FloatArray) -> FloatArray:
-        return gel.contact.indenter.signed_distance((position_m - pose.position_m) @ rotation)
 
     return Candidates(
         marker,
@@ -222,5 +210,4 @@ def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: Point) -> Can
         gel.skin_weight[marker],
         None if gel.refinement is None else fine_part(gel.refinement, marker),
         respond,
-        distance,
     )

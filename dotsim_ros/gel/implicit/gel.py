@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -342,6 +343,14 @@ class ImplicitGel:
         self._inner_point_m = inner_point_m
         self._cleared: tuple[Pose, float] | None = None
         self.reset()
+
+    @cached_property
+    def compliance_at_rest(self) -> Float32Array:
+        """(3 N, 3 N) inverse of the stiffness at rest without inertia, m/N."""
+        tangents = self._tangents.get(0.0)
+        if tangents is None or tangents.local is None:
+            return inverse_at_rest(self._single)
+        return tangents.local.compliance
 
     def _bonded_at_rest(self) -> Float32Array:
         bonded = ElasticBody(

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
@@ -60,16 +59,9 @@ class Refinement:
 
     def dense(self, nodes: IndexArray) -> Float32Array:
         """Return the (3 n, 3 n) block of dG between the given nodes (sorted)."""
-        number = np.full(self.node_count, -1, dtype=np.int32)
-        number[nodes] = np.arange(len(nodes), dtype=np.int32)
-        rows, entries = self._rows(nodes)
-        column = number[self.index[entries]]
-        keep = column >= 0
-        result = np.zeros((len(nodes), len(nodes), 3, 3), dtype=self.block.dtype)
-        result[rows[keep], column[keep]] = self.block[entries[keep]]
-        return np.ascontiguousarray(result.transpose(0, 2, 1, 3)).reshape(
-            3 * len(nodes), 3 * len(nodes)
-        )
+        count = len(nodes)
+        parts = self.by_component(nodes).reshape(3, count, 3, count)
+        return np.ascontiguousarray(parts.transpose(1, 0, 3, 2)).reshape(3 * count, 3 * count)
 
     def by_component(self, nodes: IndexArray) -> Float32Array:
         """Return the (3 n, 3 n) block of dG between the given nodes with all x first."""
@@ -115,13 +107,6 @@ class Refinement:
             device="cpu",
         )
         return result.numpy().astype(np.float64)
-
-    def _rows(self, nodes: IndexArray) -> tuple[IndexArray, NDArray[np.int64]]:
-        start, stop = self.indptr[nodes], self.indptr[nodes + 1]
-        length = stop - start
-        rows = np.repeat(np.arange(len(nodes), dtype=np.int32), length)
-        offset = np.arange(len(rows)) - np.repeat(np.cumsum(length) - length, length)
-        return rows, np.repeat(start, length) + offset
 
 
 def knot_insertion(
