@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A frame's kernels on two cores: rows or vertices are cut into bands, which threads share.
+"""A frame's kernels on two cores: rows are cut into bands, which threads share.
 
 Warp runs a kernel of a CPU in the thread that launches it, and lets go of Python's lock meanwhile,
 so two threads run two launches at once. The calling thread takes a band itself, and every band that

@@ -4,13 +4,13 @@
 """The camera's kernels that run over pixels, for a CPU: those of `kernels`, some twice as fast.
 
 Warp makes a CPU's code one pixel and one number at a time. These hand the inner loops to the
-compiler's vector types instead: eight pixels of a row at once, or the three parts of a colour or a
-direction. Numbers are added and multiplied in the same order, so the results are the same to the
-last bit; the tests hold both against each other. The types are those of Clang, which Warp compiles
-for a CPU with: any CPU has them, whatever the width of its registers. Threads share a frame by
-bands of rows (`bands`), so a kernel writes to the rows that it is given alone.
+compiler's vector types instead: eight points or pixels of a row at once, or the three parts of a
+colour or a direction. Numbers are added and multiplied in the same order, so the results are the
+same to the last bit; the tests hold both against each other. The types are those of Clang, which
+Warp compiles for a CPU with: any CPU has them, whatever the width of its registers. Threads share a
+frame by bands of rows (`bands`), so a kernel writes to the rows that it is given alone.
 
-`launch_dim`, `fill_normals` and `warp_idle` take what their namesakes in `kernels` take.
+What has a namesake in `kernels` takes what that takes.
 """
 
 # Kernels are Warp's language, whose types are none of a type checker's.
@@ -21,6 +21,7 @@ from dotsim_ros.optics.kernels import (
     CRACK_TOLERANCE,
     NO_TRIANGLE,
     ImagePixels,
+    Led,
     Lens,
     NormalPixels,
     inverse_corners,
@@ -29,8 +30,9 @@ from dotsim_ros.optics.kernels import (
 
 wp.set_module_options({"enable_backward": False})
 
-LANES = 8
-"""Pixels that the rasteriser tests at once; a band of rows must have as many."""
+LANES = wp.constant(8)
+"""Points that are lit, and pixels that the rasteriser tests at once; a band of rows must have as
+many."""
 
 _NO_TRIANGLE = wp.constant(NO_TRIANGLE)
 
@@ -38,6 +40,11 @@ _NO_TRIANGLE = wp.constant(NO_TRIANGLE)
 def launch_dim(rows: int, _width: int) -> tuple[int, int]:
     """Return the threads of a kernel that runs over the pixels of rows: one a row."""
     return rows, 1
+
+
+def point_dim(count: int) -> int:
+    """Return the threads of `irradiate`."""
+    return -(-count // LANES)
 
 
 _NEAREST_IN_BOX = """
@@ -293,3 +300,76 @@ def warp_idle(pixels: ImagePixels, row_first: int):
     """`kernels.warp_idle`, the three colours and both coordinates at once."""
     row, _ = wp.tid()
     warp_row(row_first + row, _NO_TRIANGLE, pixels)
+
+
+_LIGHT = """
+    typedef float lanes __attribute__((vector_size(32)));
+    const int count = position.shape[0];
+    lanes place[3], out[3], total[3] = {};
+    for (int k = 0; k < 8; ++k) {
+        // The last lanes repeat the last point.
+        const int at = first + k < count ? first + k : count - 1;
+        for (int i = 0; i < 3; ++i) {
+            place[i][k] = position.data[at][i];
+            out[i][k] = outward.data[at][i];
+        }
+    }
+    const auto dot = [](const lanes* a, const lanes* b) -> lanes {
+        return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    };
+    const lanes distance = __builtin_elementwise_sqrt(dot(place, place));
+    lanes sight[3];
+    for (int i = 0; i < 3; ++i) sight[i] = distance > 0.0f ? place[i] / distance : lanes{};
+    const lanes towards = dot(out, sight);
+    const float widest = 1.0f - 9.0f / exponent;
+    const float least = widest > 0.0f ? widest : 0.0f;
+    for (int led = 0; led < leds.shape[0]; ++led) {
+        lanes away[3];
+        for (int i = 0; i < 3; ++i) away[i] = place[i] - leds.data[led].position[i];
+        const lanes nearness = 1.0f / __builtin_elementwise_sqrt(dot(away, away));
+        const lanes incidence = dot(out, away) * nearness;
+        lanes share = incidence > 0.0f ? incidence : 0.0f;
+        if (gloss > 0.0f) {
+            const lanes along = incidence + towards;
+            const lanes length_square = 2.0f + 2.0f * dot(away, sight) * nearness;
+            const auto mirrors = (along > 0.0f)
+                & (along * along > least * least * length_square);
+            for (int k = 0; k < 8; ++k) {
+                if (!mirrors[k]) continue;
+                const float cosine = wp::min(along[k] / wp::sqrt(length_square[k]), 1.0f);
+                share[k] += gloss * wp::exp(exponent * (cosine - 1.0f));
+            }
+        }
+        const lanes sent = share * nearness * nearness;
+        for (int i = 0; i < 3; ++i) total[i] += leds.data[led].intensity[i] * sent;
+    }
+    for (int k = 0; k < 8 && first + k < count; ++k)
+        for (int i = 0; i < 3; ++i) irradiance.data[first + k][i] = total[i][k];
+"""
+
+
+@wp.func_native(_LIGHT)
+def light_sent(
+    first: int,
+    position: wp.array(dtype=wp.vec3),
+    outward: wp.array(dtype=wp.vec3),
+    leds: wp.array(dtype=Led),
+    gloss: float,
+    exponent: float,
+    irradiance: wp.array(dtype=wp.vec3),
+):
+    """Fill in the light that points from one on send."""
+    ...
+
+
+@wp.kernel
+def irradiate(
+    position: wp.array(dtype=wp.vec3),
+    outward: wp.array(dtype=wp.vec3),
+    leds: wp.array(dtype=Led),
+    gloss: float,
+    gloss_exponent: float,
+    irradiance: wp.array(dtype=wp.vec3),
+):
+    """`kernels.irradiate`, eight points at once."""
+    light_sent(LANES * wp.tid(), position, outward, leds, gloss, gloss_exponent, irradiance)

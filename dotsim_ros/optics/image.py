@@ -9,7 +9,7 @@ LEDs of the cosine of incidence over the squared distance (a Lambertian coat), r
 rest. A glossy coat also mirrors the LEDs, in a lobe around the half-way direction (Blinn, "Models
 of light reflection for computer synthesized pictures", 1977). At rest the image is the idle frame,
 bit for bit. What this leaves out (shadows, light between parts of the dome) is left to a completion
-that may be learned. On a CPU threads share the rows and the vertices, see `bands`.
+that may be learned. On a CPU threads share the rows, see `bands`.
 """
 
 from __future__ import annotations
@@ -85,12 +85,7 @@ def leds_of(lighting: Lighting, camera: Camera, device: wp.Device) -> wp.array:
 
 
 def direct_light(
-    position: wp.array,
-    outward: wp.array,
-    leds: wp.array,
-    lighting: Lighting,
-    *,
-    band_count: int = 1,
+    position: wp.array, outward: wp.array, leds: wp.array, lighting: Lighting
 ) -> wp.array:
     """Return (N,) vec3 light that the inner side of points sends to the camera.
 
@@ -99,23 +94,16 @@ def direct_light(
         outward: (N,) vec3 unit normals out of the gel.
         leds: the LEDs, in the optical frame.
         lighting: the gloss of the coat.
-        band_count: bands of points that threads share.
     """
     irradiance = wp.empty_like(position)
-    gloss = (lighting.gloss, lighting.gloss_exponent)
-
-    def irradiate(first: int, end: int) -> wp.Launch:
-        points = slice(first, end)
-        return wp.launch(
-            kernels.irradiate,
-            dim=end - first,
-            inputs=[position[points], outward[points], leds, *gloss],
-            outputs=[irradiance[points]],
-            device=position.device,
-            record_cmd=True,
-        )
-
-    launch_bands(cut(len(position), band_count), irradiate)
+    of_device = host_kernels if wp.get_device(position.device).is_cpu else kernels
+    wp.launch(
+        of_device.irradiate,
+        dim=of_device.point_dim(len(position)),
+        inputs=[position, outward, leds, lighting.gloss, lighting.gloss_exponent],
+        outputs=[irradiance],
+        device=position.device,
+    )
     return irradiance
 
 
@@ -132,8 +120,8 @@ class ImageRenderer:
             and with the rim's colours beyond the lit disc; None to interpolate them.
         completion: what to add to the warped image; None for nothing.
         device: Warp's name of the device.
-        band_count: bands of rows and of vertices that threads share; None for as many as
-            `bands.thread_count` on a CPU, else one. Any number gives the same to the last bit.
+        band_count: bands of rows that threads share; None for as many as `bands.thread_count` on a
+            CPU, else one. Any number gives the same to the last bit.
 
     Attributes:
         pixel_kernels: the module whose kernel colours the image; both give the same.
@@ -178,7 +166,6 @@ class ImageRenderer:
         self.pixel_kernels = host_kernels if self._device.is_cpu else kernels
         if band_count is None:
             band_count = thread_count() if self._device.is_cpu else 1
-        self._band_count = band_count
         self._bands = cut(camera.height, band_count)
         self._memory = FrameMemory(self._device)
         self.leds = leds_of(self.lighting, camera, self._device)
@@ -221,7 +208,6 @@ class ImageRenderer:
             self._upload(view.vertex_normal, wp.vec3),
             self.leds,
             self.lighting,
-            band_count=self._band_count,
         )
 
     def _gain(self, view: View) -> wp.array:

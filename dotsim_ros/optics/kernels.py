@@ -29,6 +29,11 @@ def launch_dim(rows: int, width: int) -> tuple[int, int]:
     return rows, width
 
 
+def point_dim(count: int) -> int:
+    """Return the threads of `irradiate`: one a point."""
+    return count
+
+
 @wp.struct
 class Lens:
     """A projection: pixels a radian at the axis along x and y, principal point, coefficients,

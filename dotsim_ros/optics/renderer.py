@@ -6,6 +6,9 @@
 The skin is a triangle mesh of fixed topology; its corners are warped by the gel. Within a
 triangle, depth is that of the plane, normals and material points are interpolated from the
 corners. On a CPU threads share the rows, see `bands`.
+
+All of the skin is drawn at each touch: a press of 0.6 mm moves 95 % of a dome's markers by more
+than 3 um, and 1 um can change a grey level.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ import warp as wp
 import yaml
 
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.optics import kernels
 from dotsim_ros.optics.idle import read_description
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, PointLight
@@ -52,6 +53,31 @@ def test_light_is_the_cosine_and_the_lobe_over_the_squared_distance(camera):
         found = light_on(camera, points, normals, lighting)
         # A lobe below a ten thousandth is left out.
         assert np.abs(found - expected).max() < 2e-4 * (1.0 + gloss) / square.min()
+
+
+@pytest.mark.parametrize("gloss", [0.0, 3.0])
+def test_points_are_lit_together_as_one_by_one(camera, gloss):
+    random = np.random.default_rng(0)
+    # The last eight are not whole, and one point lies in the camera.
+    points = 0.01575 * random.standard_normal((301, 3))
+    points[3] = 0.0
+    lighting = Lighting((LED, PointLight((-0.004, 0.002, 0.001), (0.2, 1.0, 0.4))), gloss=gloss)
+    leds = leds_of(lighting, camera, wp.get_device("cpu"))
+    position, outward = (
+        wp.array(array.astype(np.float32), dtype=wp.vec3, device="cpu")
+        for array in (points, unit(random.standard_normal(points.shape)))
+    )
+    one_by_one = wp.empty_like(position)
+    wp.launch(
+        kernels.irradiate,
+        dim=len(points),
+        inputs=[position, outward, leds, lighting.gloss, lighting.gloss_exponent],
+        outputs=[one_by_one],
+        device="cpu",
+    )
+    together = direct_light(position, outward, leds, lighting)
+    assert np.array_equal(together.numpy(), one_by_one.numpy())
+    assert np.count_nonzero(together.numpy()) > 300
 
 
 def test_coat_that_turns_an_led_into_the_camera_is_brightest(camera):

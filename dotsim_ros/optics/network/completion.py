@@ -1,7 +1,10 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A trained network as the image's completion, run by ONNX Runtime: no torch at run time."""
+"""A trained network as the image's completion, run by ONNX Runtime: no torch at run time.
+
+On a core of an EPYC without VNNI OpenVINO took longer, and 8 bits in place of floats saved a sixth.
+"""
 
 from __future__ import annotations
 
