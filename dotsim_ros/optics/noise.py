@@ -36,5 +36,7 @@ def with_noise(
     )
     times = (height // rows + 1, width // columns + 1, 3 // channel_count)
     noise = np.tile(np.rint(tile * levels).astype(np.int16), times)[:height, :width]
-    noisy = cv2.add(image.astype(np.int16), noise)
-    return np.where(image > 0, np.clip(noisy, 0, 255), 0).astype(np.uint8)
+    # Clipped to grey levels.
+    noisy = np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), dtype=np.uint8)
+    noisy[image == 0] = 0
+    return noisy
