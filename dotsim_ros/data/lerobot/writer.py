@@ -452,7 +452,7 @@ class LeRobotWriter:
 
 
 def _png(image: ImageArray) -> bytes:
-    return cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+    return cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()
 
 
 def _nested(row: Mapping[str, Any]) -> dict[str, Statistics]:
