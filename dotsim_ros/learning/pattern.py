@@ -29,7 +29,7 @@ from scipy.sparse.linalg import cg
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
 from dotsim_ros.optics.idle import lit_region
-from dotsim_ros.optics.image import ImageRenderer
+from dotsim_ros.optics.image import ImageRenderer, double_resolution
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData, FilmedPress
@@ -127,7 +127,7 @@ def with_learned_pattern(
     pattern = given
     for _ in range(ROUNDS):
         pattern = _solved(samples(), pattern, given, shape[1])
-    fine = pattern.reshape(shape) * image.fine_brightness[..., None]
+    fine = pattern.reshape(shape) * double_resolution(brightness)[..., None]
     fine_image = np.clip(np.rint(fine), 0.0, 255.0).astype(np.uint8)
     idle = np.where(lit[..., None], fine_image[::2, ::2], filmed.idle)
     return replace(filmed, idle=idle, fine=fine_image)

@@ -129,7 +129,6 @@ class ImageRenderer:
         ambient: what reaches every point from all other directions.
         fine_pattern: (2 H - 1, 2 W - 1, 3) float32, what is warped: the idle image without
             vignetting, with samples half-way between its own.
-        fine_brightness: (2 H - 1, 2 W - 1) that vignetting leaves at them.
 
     Raises:
         ValueError: the idle image has another size than the camera, is a single row or column, or
@@ -193,13 +192,13 @@ class ImageRenderer:
         self._idle = self._upload(idle_image, wp.uint8)
         self._lit = self._upload(lit.astype(np.uint8), wp.uint8)
         self._brightness = self._upload(brightness, wp.float32)
-        self.fine_brightness = double_resolution(brightness)
         if fine is None:
             flat = idle_image.astype(np.float32) / brightness[..., None]
             self.fine_pattern = double_resolution(spread_outwards(flat, lit))
         else:
             check_fine(fine, idle_image)
-            self.fine_pattern = fine.astype(np.float32) / self.fine_brightness[..., None]
+            self.fine_pattern = fine.astype(np.float32)
+            self.fine_pattern /= double_resolution(brightness)[..., None]
         self._fine_flat = self._upload(self.fine_pattern, wp.vec3)
 
     def _irradiance(self, view: View) -> wp.array:
