@@ -188,6 +188,7 @@ STUDIES: dict[str, Study] = {
     "real": Study(25, "real.record:real", in_all=False),
     "real_cylinders": Study(15, "real.cylinder_study:real_cylinders"),
     "real_force": Study(5, "real.pad_study:real_force"),
+    "real_gap": Study(30, "real.altered:real_gap"),
     "real_pair": Study(5, "optics.real_pair:real_pair"),
     "realtime": Study(8, "speed.realtime:realtime"),
     "realtime_learned": Study(

@@ -97,8 +97,8 @@ def calibrated_discrepancy(
     """
     recordings = [r for r in source.measurement.recordings if r.name in names]
     names = [r.name for r in recordings]
-    residuals = _residuals(source, recordings)
-    found = _with_bias(source, names, _covariances(source, recordings, residuals))
+    residuals = residuals_by_name(source, recordings)
+    found = _with_bias(source, names, covariances_of(source, recordings, residuals))
     gains: dict[str, list[float]] = {}
     simulated: list[float] = []
     patterns: list[float] = []
@@ -109,7 +109,7 @@ def calibrated_discrepancy(
     both_ways = [way for one, other in drawn for way in ((one, other), (other, one))]
     for number, (known, shown) in enumerate(both_ways):
         of_half = [r for r in recordings if r.name in known]
-        half = _with_bias(source, known, _covariances(source, of_half, residuals))
+        half = _with_bias(source, known, covariances_of(source, of_half, residuals))
         with open_presses(source, shown, half) as presses:
             for draw in range(LIMIT_DRAWS):
                 chosen = draw_presses(len(presses.case.trajectories), random)
@@ -139,7 +139,7 @@ def calibrated_discrepancy(
     )
 
 
-def _residuals(source: Source, recordings: Sequence[Recording]) -> dict[str, FloatArray]:
+def residuals_by_name(source: Source, recordings: Sequence[Recording]) -> dict[str, FloatArray]:
     """Return measured minus simulated, (F, SIZE), of each recording, by name."""
     skin, values = source.measurement.skin, values_of(source.sensor)
     with open_solver(source.sensor, skin, source.run, workers=source.workers) as solver:
@@ -161,7 +161,7 @@ def _residuals(source: Source, recordings: Sequence[Recording]) -> dict[str, Flo
     return found
 
 
-def _covariances(
+def covariances_of(
     source: Source, recordings: Sequence[Recording], residuals: Mapping[str, FloatArray]
 ) -> Discrepancy:
     text = f"{len(recordings)} presses of {source.directory.name} with {source.sensor.name}"
