@@ -531,6 +531,43 @@ def test_two_are_named_in_place_of_one_that_fails_where_they_leave_nothing_held_
     assert {entry.effect.name for entry in both.named} == {"late", "early"}
 
 
+class CurvedCase(Case):
+    """Two effects of which one is simulated as linear in its size, the other as quadratic."""
+
+    full: dict[str, list[np.ndarray]]
+
+    def _fill(self, wanted, progress=None):  # type: ignore[no-untyped-def]
+        for variant, size, numbers in wanted:
+            name = variant.effect.name
+            for number in numbers:
+                done = size**2 if name == "early" else size
+                variant.change[variant.node.index(size)][number] = done * self.full[name][number]
+        return []
+
+
+def test_the_smaller_of_two_is_simulated_at_the_size_that_it_has_next_to_the_other(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    search, ranked = two_effects(change, random)
+    variants = [entry.variants[0] for entry in ranked]
+    # Alone, these gain more than the smaller one.
+    for name in ("first", "second", "third"):
+        alike = [one + 0.5 * DEVIATION * random.standard_normal(SHAPE) for one in change]
+        variants.append(variant_of(alike, replace(EFFECT, name=name)))
+        search.case.library[name] = variants[-1].effect
+    search.request = replace(search.request, budget=None)
+    search.case.__class__ = CurvedCase
+    search.case.full = {variant.effect.name: variant.change[1] for variant in variants}
+    ranked = screen(search, variants)
+    assert "early" not in {entry.effect.name for entry in ranked[: decision.SCREENED]}
+    answer = answer_of(search, ranked, *null_gains(search, ranked, NULLS))
+    early = next(entry for entry in answer.ranked if entry.effect.name == "early")
+    pair = answer_module.possible_pair(search, answer.ranked)
+    assert pair is not None
+    assert pair[0].effect is early.effect
+    assert pair[0].trial.size == pytest.approx(np.sqrt(0.2), abs=0.05)
+
+
 def test_the_smaller_of_two_comes_with_what_cannot_be_distinguished_from_it(
     change: list[np.ndarray], random: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -574,8 +611,9 @@ def test_an_answer_hangs_on_the_one_trajectory_that_shows_it(
         if is_other_answer(answer.decision, decide(part, tried_again(part, ranked))):
             hinges.append(number)
     assert hinges == [3]
-    others = {"press_3": ([EFFECT], False), "press_4": ([], False), "press_5": ([], False)}
+    other, rival = (replace(EFFECT, title=title) for title in ("Slip", "Echo"))
+    others = {"press_3": [[other], [EFFECT, rival]], "press_4": [], "press_5": []}
     assert wording.hinges(others) == (
-        "the answer hangs on single trajectories (without press_3: late; without press_4 or "
-        "press_5: no effect is named): record each again"
+        "the answer hangs on single trajectories (without press_3: slip with late or echo; without "
+        "press_4 or press_5: no effect is named): record each again"
     )

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from dotsim_ros.gap.presses.inference import (
     log_evidence,
 )
 from dotsim_ros.gap.presses.locate import is_at_floor, is_off
-from dotsim_ros.gap.presses.screening import Screen, best_trial, try_segment
+from dotsim_ros.gap.presses.screening import Screen, Trial, best_trial, try_segment
 from dotsim_ros.gap.presses.search_state import Ranked, Search
 from dotsim_ros.io.arrays import FloatArray
 
@@ -101,7 +101,7 @@ def answer_of(
     search.pattern_chance = heavier * float(np.median(pattern_gains))
     is_effect = any(entry.is_past_limit for entry in ranked)
     if is_effect:
-        ranked = _refit(search, ranked)
+        ranked = _refit_beside(search, _refit(search, ranked))
     decided = Decision(Verdict.NO_GAP)
     if is_effect or pattern_gain(search) > pattern_threshold:
         decided = decide(search, ranked)
@@ -150,13 +150,32 @@ def pattern_gain(search: Search) -> float:
     return search.base.objective - fit_nuisances(widened).objective
 
 
-def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
-    """Simulate the best effects at the sizes found, again and again; return them in order."""
+def _refit_beside(search: Search, ranked: list[Ranked]) -> list[Ranked]:
+    """Simulate what gains most next to the larger of two effects at the sizes found there; return
+    all effects in order. Between sizes that were tried alone, one rival gains more by chance."""
+    pair = possible_pair(search, ranked)
+    if pair is None:
+        return ranked
+    _, larger = pair
+    others = [entry for entry in ranked if entry.effect.name != larger.effect.name]
+    _refit(search, _all_beside(search, larger, others), larger)
+    return tried_again(search, ranked)
+
+
+def _refit(search: Search, ranked: list[Ranked], beside: Ranked | None = None) -> list[Ranked]:
+    """Simulate the best effects, alone or beside another one, at the sizes found, again and again;
+    return them in order."""
+    evidence = search.evidence if beside is None else search.evidence.without(beside.trial.change)
+    base = search.base.objective if beside is None else fit_nuisances(evidence).objective
+
+    def tried(variants: Sequence[Variant]) -> Trial:
+        return best_trial(evidence, search.segments(variants), base)
+
     for _ in range(ROUNDS):
         close = close_to_best(ranked)
         wanted: list[tuple[Ranked, Variant, float]] = []
         for entry in close:
-            variant, size = _better_variant(search, entry), entry.trial.size
+            variant, size = _better_variant(search, entry, tried), entry.trial.size
             nearest = min(abs(size - node) for node in variant.node)
             if nearest > SMALL_SHARE * max(abs(size - variant.absent), 1e-12):
                 wanted.append((entry, variant, size))
@@ -179,8 +198,7 @@ def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
             if all(variant is not known for known in entry.variants):
                 entry.variants.append(variant)
         for entry in close:
-            segments = search.segments(entry.variants)
-            entry.trial = best_trial(search.evidence, segments, search.base.objective)
+            entry.trial = tried(entry.variants)
         ranked = sorted(ranked, key=lambda entry: entry.trial.gain, reverse=True)
     return ranked
 
@@ -200,7 +218,9 @@ def close_to_best(ranked: Sequence[Ranked]) -> list[Ranked]:
     ]
 
 
-def _better_variant(search: Search, entry: Ranked) -> Variant:
+def _better_variant(
+    search: Search, entry: Ranked, tried: Callable[[Sequence[Variant]], Trial]
+) -> Variant:
     """Return the variant to simulate next: a new one between the shapes tried, where a parabola
     through their gains has its top; the best one tried where there is no such place."""
     best = entry.trial.variant
@@ -208,12 +228,7 @@ def _better_variant(search: Search, entry: Ranked) -> Variant:
     if len(names) != 1:
         return best
     name = names[0]
-    gains = {
-        variant.shape[name]: best_trial(
-            search.evidence, search.segments([variant]), search.base.objective
-        ).gain
-        for variant in entry.variants
-    }
+    gains = {variant.shape[name]: tried([variant]).gain for variant in entry.variants}
     shapes = sorted(gains)
     place = shapes.index(best.shape[name])
     if not 0 < place < len(shapes) - 1 or min(shapes) <= 0.0:
@@ -275,15 +290,23 @@ def pair_instead(search: Search, ranked: Sequence[Ranked]) -> Decision | None:
     pair = possible_pair(search, ranked) if search.held_out else None
     if pair is None:
         return None
-    rivals = rivals_beside(search, ranked, pair)
-    stability = stability_of(search, ranked, pair, rivals)
+    smaller, larger = pair
+    rivals = [smaller, *rivals_beside(search, ranked, pair)]
+    # As for one effect: what asks for a size beyond its range is a symptom.
+    possible = [one for one in rivals if size_beyond_range(search, one, larger) is None]
+    if not possible:
+        return None
+    named, *alternatives = possible
+    symptoms = {one.effect.name for one in rivals} - {one.effect.name for one in possible}
+    contest = [entry for entry in ranked if entry.effect.name not in symptoms]
+    stability = stability_of(search, contest, [named, larger], alternatives)
     if stability < decision.LIKELY:
         return None
-    both = _two(search, pair, stability)
-    if both.named and rivals:
-        both = replace(both, verdict=Verdict.SET, alternatives=tuple(rivals))
+    both = _two(search, [named, larger], stability)
+    if both.named and alternatives:
+        both = replace(both, verdict=Verdict.SET, alternatives=tuple(alternatives))
     # Where there is no gap, two more effects leave none either.
-    is_shown = both.named and is_off(search, pair) and is_at_floor(search, pair)
+    is_shown = both.named and is_off(search, both.named) and is_at_floor(search, both.named)
     return both if is_shown else None
 
 
@@ -293,7 +316,7 @@ def _single(
     """Return whether one of the effects past their limits can be named, or a set; what is doubted
     where none can."""
     best = able[0]
-    close = [entry for entry in able if entry.trial.gain > best.trial.gain - decision.SAME]
+    close = [best, *_rivals(search, best, able)]
     # One that asks for a size beyond its range is a symptom; what explains as much may stand.
     possible = [entry for entry in close if size_beyond_range(search, entry) is None]
     if not possible:
@@ -466,14 +489,24 @@ def possible_pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | No
 
 
 def rivals_beside(search: Search, ranked: Sequence[Ranked], pair: Sequence[Ranked]) -> list[Ranked]:
-    """Return the effects past their limits that gain as much as the first of a pair next to the
-    second, as they do there, the best first."""
-    first, second = pair
-    taken = {first.effect.name, second.effect.name}
-    others = [entry for entry in ranked if entry.effect.name not in taken]
-    least = first.trial.gain - decision.SAME
-    tried = _all_beside(search, second, others)
-    return [e for e in tried if e.is_past_limit and e.trial.gain > least]
+    """Return the effects past their limits that are not distinguished from the first of a pair next
+    to the second, as they do there, the best first."""
+    _, second = pair
+    others = [entry for entry in ranked if entry.effect.name != second.effect.name]
+    return _rivals(search, pair[0], _all_beside(search, second, others))
+
+
+def _rivals(search: Search, named: Ranked, tried: Sequence[Ranked]) -> list[Ranked]:
+    """Return those past their limits that are not distinguished from an effect, the best first: by
+    as much as true data gain more than simulated ones, their gains differ by more."""
+    least = named.trial.gain - decision.SAME * search.least_factor
+    return [
+        entry
+        for entry in tried
+        if entry.is_past_limit
+        and entry.trial.gain > least
+        and entry.effect.name != named.effect.name
+    ]
 
 
 def _beside(search: Search, known: Ranked, others: Sequence[Ranked]) -> Ranked:

@@ -11,7 +11,7 @@ import numpy as np
 
 from dotsim_ros.calibration.parameters import PARAMETERS
 from dotsim_ros.data.measurement import Measurement
-from dotsim_ros.effects.effect import Active
+from dotsim_ros.effects.effect import Active, Effect
 from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
 from dotsim_ros.effects.simulate import EffectRequest
 from dotsim_ros.gap import decision
@@ -176,7 +176,7 @@ def _confirmed(
 def _hinges(search: Search, ranked: Sequence[Ranked], decided: Decision) -> list[str]:
     """Return a warning of the chosen trajectories without each of which the answer is another one;
     none where there are none."""
-    others = {}
+    others: dict[str, list[list[Effect]]] = {}
     measured = [k for k in search.chosen if not search.case.trajectories[k].is_reference]
     for number in measured if len(measured) > 1 else ():
         part = search.without(number)
@@ -184,9 +184,11 @@ def _hinges(search: Search, ranked: Sequence[Ranked], decided: Decision) -> list
         other, _ = _confirmed(part, again, decide(part, again))
         if is_other_answer(decided, other):
             name = search.case.trajectories[number].recording.name
-            are_two = len(other.named) > 1
-            answer = other.named if are_two else (*other.named, *other.alternatives)
-            others[name] = [entry.effect for entry in answer], are_two
+            answer = [[entry.effect] for entry in other.named]
+            if answer:
+                answer[0] += [entry.effect for entry in other.alternatives]
+            # Last, so that a list of rivals does not run into the other effect.
+            others[name] = answer[::-1]
     return [wording.hinges(others)] if others else []
 
 

@@ -171,7 +171,7 @@ def beliefs_of(search: Search, possible: Sequence[Possible], entries: Sequence[R
     The parameters are the nuisances, in deviations of their priors, each entry's size, as a share
     of the one found, and the patterns, in deviations of theirs.
     """
-    factor = _factor(search)
+    factor = search.least_factor
     place = {id(entry): k for k, entry in enumerate(entries)}
     nuisances, patterns = search.evidence.nuisance.shape[1], search.pattern_columns.shape[1]
     size = nuisances + len(entries) + patterns
@@ -189,11 +189,6 @@ def beliefs_of(search: Search, possible: Sequence[Possible], entries: Sequence[R
             evidence, one.entries, factor
         )
     return Beliefs(weights_of(logs, LEAST_WEIGHT), mean, covariance)
-
-
-def _factor(search: Search) -> float:
-    """Return by how much real data without an effect gain more than simulated ones."""
-    return decision.MARGIN if search.discrepancy.is_representative else decision.HEAVIER
 
 
 def _posterior(
@@ -303,5 +298,5 @@ def _designs(
             ],
             axis=1,
         )
-        designs[number] = reduced(design / np.sqrt(_factor(search)))
+        designs[number] = reduced(design / np.sqrt(search.least_factor))
     return planned, designs

@@ -172,6 +172,11 @@ class Search:
         known = self.evidence.of(reference)
         return fit_nuisances(known).objective / len(known.residual) + decision.MISFIT_SINCE
 
+    @property
+    def least_factor(self) -> float:
+        """By how much true data gain more than simulated ones, at the least."""
+        return decision.least_factor(is_representative=self.discrepancy.is_representative)
+
     def segments(self, variants: Sequence[Variant]) -> list[Segment]:
         """Return the segments of variants; they are whitened once for each set of nodes."""
         result = []

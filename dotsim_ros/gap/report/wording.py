@@ -184,17 +184,17 @@ def missing(
     return text + _not_distinguished("data", named, alternatives)
 
 
-def hinges(others: Mapping[str, tuple[Sequence[Effect], bool]]) -> str:
+def hinges(others: Mapping[str, Sequence[Sequence[Effect]]]) -> str:
     """Return that the answer hangs on single trajectories.
 
     Args:
-        others: what would be named without each, by its name: nothing, one effect, two, or a set;
-            and whether two would act together. At least one.
+        others: what would be named without each, by its name: nothing, one effect, or two that act
+            together, each with those that are not distinguished from it. At least one.
     """
     answers: dict[str, list[str]] = {}
-    for trajectory, (named, are_two) in others.items():
-        answer = amid_all(named, are_two=are_two) if named else "no effect is named"
-        answers.setdefault(answer, []).append(trajectory)
+    for trajectory, named in others.items():
+        answer = " with ".join(amid_all(effects, are_two=False) for effects in named)
+        answers.setdefault(answer or "no effect is named", []).append(trajectory)
     texts = [f"without {' or '.join(names)}: {answer}" for answer, names in answers.items()]
     again = "it" if len(others) == 1 else "each"
     return f"the answer hangs on single trajectories ({'; '.join(texts)}): record {again} again"
