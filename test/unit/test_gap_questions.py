@@ -17,11 +17,10 @@ from dotsim_ros.data.data_set_writer import write_data_set
 from dotsim_ros.data.scripted import Site
 from dotsim_ros.data.trajectory import PoseChannel, Trajectory, WrenchChannel, write_trajectory
 from dotsim_ros.effects.effect import FORCE, Effect, EffectParameter
-from dotsim_ros.gap import ask
+from dotsim_ros.gap import ask, decision
 from dotsim_ros.gap.findings import Findings, Question, Verdict
 from dotsim_ros.gap.next_presses import write_questions
 from dotsim_ros.gap.presses.catalogue import catalogue
-from dotsim_ros.gap.presses.covariance import Discrepancy
 from dotsim_ros.gap.presses.evidence import Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, fit, fit_nuisances
 from dotsim_ros.gap.presses.information import Beliefs, distances, information, weights_of
@@ -123,7 +122,7 @@ def test_answers_separate_two_effects_by_what_was_predicted() -> None:
         search = SimpleNamespace(
             evidence=evidence,
             pattern_columns=np.zeros((rows, 1)),
-            discrepancy=Discrepancy(np.eye(1), np.eye(1), "", is_representative=True),
+            least_factor=decision.MARGIN,
         )
         possible = [Possible(e.effect.name, e.effect.title, (e,)) for e in entries]
         found = beliefs_of(search, possible, entries)
