@@ -146,7 +146,7 @@ def decode_rgb(message: Message) -> NDArray[np.uint8]:
 
     Any encoding of `PIXEL_LAYOUTS` and `CAMERA_LAYOUTS` but depths. 16 bits are scaled to 8, YUV is
     taken as BT.601 of limited range, and missing colours of a Bayer pattern are interpolated, all
-    as OpenCV does it. A view for rgb8, bgr8, rgba8 and bgra8.
+    as OpenCV does it. A view for rgb8 and rgba8.
 
     Raises:
         ValueError: as `decode_image`, an encoding that holds no colour, or sides that are odd
@@ -165,11 +165,11 @@ def decode_rgb(message: Message) -> NDArray[np.uint8]:
     if samples.dtype.itemsize == 2:
         # 65535 becomes 255.
         samples = ((samples.astype(np.uint32) + 128) // 257).astype(np.uint8)
-    if is_shared or encoding.startswith("bayer"):
+    if is_shared or encoding.startswith(("bayer", "bgr")):
         return _converted(samples, encoding)
     if samples.ndim == 2:
         return np.repeat(samples[..., None], 3, axis=2)
-    return samples[..., 2::-1] if encoding.startswith("bgr") else samples[..., :3]
+    return samples[..., :3]
 
 
 def _converted(samples: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
@@ -182,6 +182,8 @@ def _converted(samples: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
         "yuyv": cv2.COLOR_YUV2RGB_YUY2,
         "nv12": cv2.COLOR_YUV2RGB_NV12,
         "nv21": cv2.COLOR_YUV2RGB_NV21,
+        "bgr": cv2.COLOR_BGR2RGB,
+        "bgra": cv2.COLOR_BGRA2RGB,
         # OpenCV names a pattern by its second row from the second pixel on.
         "bayer_rggb": cv2.COLOR_BayerBG2RGB,
         "bayer_bggr": cv2.COLOR_BayerRG2RGB,
