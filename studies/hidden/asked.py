@@ -8,9 +8,11 @@ and effect that made its set make what is recorded next.
 
     python -m studies hide --hidden slippery late --count 1 --seed 5 --out out/asked \\
         --trajectories hold_0 press_sphere_4mm_2 slide_0
-    dotsim_ros find-gap --measured out/asked/set_00 --sensor data/hidden_17/sensor_a.yaml \\
-        --discrepancy data/hidden_17/discrepancy.npz --out out/asked_report \\
+    dotsim_ros find-gap --measured out/asked/set_00 --out out/asked_report \\
         --ask "python -m studies unit --of out/asked/set_00"
+
+The twin of `data/hidden_17` is for its own units: CalculiX slid them in increments as long as
+frames, so that it has more friction than units that are made now.
 """
 
 from __future__ import annotations
