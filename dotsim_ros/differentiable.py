@@ -314,7 +314,8 @@ class _Model:
             indenter=self.indenter,
             bond=bond_of(self.sensor.gel),
         )
-        stretched.refinement = gel.refinement
+        if gel.refinement is not None:
+            stretched.refine_with(gel.refinement, gel.skin)
         return stretched
 
     def by_value(self, gradient: Gradient, name: str) -> float:
