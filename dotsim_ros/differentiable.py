@@ -314,8 +314,7 @@ class _Model:
             indenter=self.indenter,
             bond=bond_of(self.sensor.gel),
         )
-        if gel.refinement is not None:
-            stretched.refine_with(gel.refinement, gel.skin)
+        stretched.refinement = gel.refinement
         return stretched
 
     def by_value(self, gradient: Gradient, name: str) -> float:

@@ -252,7 +252,7 @@ class GelSimulator:
                 bond=bond_of(specification.gel),
             )
             if self._refined:
-                gel.refine_with(self._refinement(v.poisson_ratio), self._own_skin)
+                gel.refinement = self._refinement(v.poisson_ratio)
         self._gels[key] = gel
         while len(self._gels) > KEPT_GELS:
             self._gels.popitem(last=False)

@@ -90,9 +90,9 @@ def touch_of(gel: ImplicitGel) -> Touch:
     ("sensor", "depth_m", "force_n", "profile"),
     # The forces are those of 40 steps, each solved to 0.2 um.
     [
-        ("gelsight_mini", 1.0e-3, 3.097, EXACT),
-        ("densetact2", 1.5e-3, 1.944, EXACT),
-        ("densetact2", 1.5e-3, 1.944, REALTIME),
+        ("gelsight_mini", 1.0e-3, 3.189, EXACT),
+        ("densetact2", 1.5e-3, 1.924, EXACT),
+        ("densetact2", 1.5e-3, 1.924, REALTIME),
     ],
     ids=["pad", "dome", "dome realtime"],
 )
@@ -172,18 +172,25 @@ def test_base_and_core_bear_what_the_indenter_presses(profile: Profile) -> None:
         assert np.linalg.norm(held.torque_nm + state.wrench.torque_nm) < lever_m * load
 
 
-def test_forces_and_torques_balance() -> None:
-    """Settled to rounding, what holds the gel balances the indenter, at places that the refinement
-    has moved. What the indenter answers is worked out in single precision: processors differ by
-    some millionths of the load."""
+def test_only_what_the_refinement_adds_leaves_a_torque() -> None:
+    """Settled to rounding, forces balance; torques lack that of the forces at the displacement that
+    the refinement adds, which the grid does not see. What the indenter answers is worked out in
+    single precision: processors differ by some millionths of the load."""
     gel = shipped_under(EXACT, "box_edge")
     recorder = Recorder(gel)
     for x, depth in ((1.0e-3, -0.1e-3), (1.0e-3, 0.4e-3), (1.4e-3, 0.6e-3)):
         pose = tip(x, depth, quaternion_xyzw=TILTED)
         state = recorder.step([pose], 0.04)[0]
+    world = gel.worlds[0]
+    assert world.response is not None
+    assert world.patch is not None
+    force = world.response.force_n
+    left = np.cross(world.patch.added_displacement(force), force).sum(axis=0)
     held, load = borne(gel, state.displacement_m), np.linalg.norm(state.wrench.force_n)
     assert held.force_n == pytest.approx(-state.wrench.force_n, abs=1e-5 * load)
-    assert held.torque_nm == pytest.approx(-state.wrench.torque_nm, abs=2e-7 * load)
+    assert held.torque_nm + left == pytest.approx(-state.wrench.torque_nm, abs=2e-7 * load)
+    # Measured: up to 0.11 mm times the force, in presses of 1.5 mm.
+    assert 0.0 < np.linalg.norm(left) < 0.15e-3 * load
 
 
 DEEPEST_M = {"sphere_4mm": 5.0e-3, "box_edge": 4.0e-3}

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from dotsim_ros.gel.body import QUARTER_TURNS_AND_MIRRORS, Body, Dome, Pad
 from dotsim_ros.gel.discretization import Discretization, discretize, spline_weights
@@ -18,7 +17,6 @@ from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.refinement import Refinement, knot_insertion, refine
 from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
 from dotsim_ros.gel.implicit.tangent import inverse_at_rest
-from dotsim_ros.gel.implicit.turn import Turning
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
 from dotsim_ros.io.arrays import Float32Array
@@ -209,37 +207,6 @@ def test_refinement_displacement_is_that_of_its_matrix(
     )
     order = (3 * np.arange(4) + np.arange(3)[:, None]).ravel()
     assert np.array_equal(refinement.by_component(nodes), part[np.ix_(order, order)])
-
-
-def test_refinement_turns_with_the_gel(small_refinement: tuple[Refinement, Path]) -> None:
-    refinement, _ = small_refinement
-    grid = grid_of(PAD)
-    turning = Turning(grid, skin_of(PAD).rest_position_m, refinement.skin_weight)
-    turn = Rotation.from_rotvec([0.3, -0.2, 0.8]).as_matrix()
-    random = np.random.default_rng(4)
-    found = turning.at(grid.node_position_m @ turn.T - grid.node_position_m)
-    loaded = np.unique(refinement.skin_weight.indices).astype(np.int32)
-    assert_close(found[loaded], np.broadcast_to(turn, (len(loaded), 3, 3)), abs=2e-6)
-    nodes, force = loaded[:40], random.normal(size=(40, 3))
-    moved = refinement.displacement(nodes, force, found)[loaded]
-    expected = refinement.displacement(nodes, force @ turn)[loaded] @ turn.T
-    assert_close(moved, expected, abs=1e-5 * np.abs(expected).max())
-    # It resists to be turned: the energy's derivative by the displacements.
-    position_m = grid.node_position_m
-    displacement = position_m @ np.diag([0.3, 0.0, -0.4]) @ turn.T
-    displacement += position_m @ turn.T - position_m + 1e-4 * random.normal(size=position_m.shape)
-    step = 1e-5 * random.normal(size=position_m.shape)
-    energy = [
-        0.5 * np.vdot(force, refinement.displacement(nodes, force, turning.exactly_at(at))[nodes])
-        for at in (displacement - step, displacement + step)
-    ]
-    resistance = turning.resistance(
-        displacement, nodes, force, lambda load: refinement.displacement(nodes, load)[nodes]
-    )
-    assert np.vdot(resistance, 2.0 * step) == pytest.approx(energy[1] - energy[0], rel=1e-3)
-    assert_close(
-        turning.at(displacement)[loaded], turning.exactly_at(displacement)[loaded], abs=1e-5
-    )
 
 
 def test_refinement_is_read_back_from_its_cache(

@@ -263,13 +263,10 @@ class _Backward:
         if refinement is not None:
             added = contact.added_displacement(refinement, force)
             youngs = self.gel.body.youngs_modulus_pa
-            change = float(np.vdot(by_position, added))
-            change += float(np.vdot(virtual, contact.resistance(refinement)))
-            sums.youngs_modulus -= change / youngs
+            sums.youngs_modulus -= float(np.vdot(by_position, added)) / youngs
         if self.by_poisson is not None:
             added = contact.added_displacement(self.by_poisson, force)
             sums.poisson_ratio += float(np.vdot(by_position, added))
-            sums.poisson_ratio += float(np.vdot(virtual, contact.resistance(self.by_poisson)))
 
     def _history(self, substep: Substep) -> tuple[float, FloatArray]:
         """Give the body the relaxation of a substep; return its fast share and history."""

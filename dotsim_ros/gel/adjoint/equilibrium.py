@@ -18,7 +18,7 @@ nodes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,21 +140,9 @@ class FinePart:
     weight: sparse.csr_matrix
     compliance: FloatArray
 
-    def turned(self, turn: FloatArray) -> FinePart:
-        """Return B in a gel that is turned by (n, 3, 3) at its nodes."""
-        count = len(self.node)
-        blocks = turn[:, None] @ self.compliance.reshape(count, 3, count, 3).transpose(0, 2, 1, 3)
-        blocks = blocks @ np.swapaxes(turn, 1, 2)[None]
-        compliance = blocks.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)
-        return replace(self, compliance=compliance)
-
-    def between_nodes(self, force_n: FloatArray) -> FloatArray:
-        """Return what it adds to its nodes' displacement (n, 3) under forces (n, 3) on them."""
-        return (self.compliance @ force_n.ravel()).reshape(-1, 3)
-
     def displacement(self, force_n: FloatArray) -> FloatArray:
         """Return B f (C, 3) for forces (C, 3)."""
-        nodal = self.between_nodes(self.weight.T @ force_n)
+        nodal = (self.compliance @ (self.weight.T @ force_n).ravel()).reshape(-1, 3)
         moved: FloatArray = self.weight @ nodal
         return moved
 
@@ -221,8 +209,7 @@ class Candidates:
         marker: (C,) their numbers.
         rest_position_m, start_m: (C, 3) their positions at rest and in the state to begin with.
         weight: (C, N) their weights.
-        turned: what the refinement adds, if there is one, and the forces (N, 3) by which it resists
-            to be turned, at displacements (N, 3) under forces (C, 3).
+        fine: what the refinement adds, if there is one.
         respond: the contact of some of them (their rows) at positions (A, 3).
     """
 
@@ -230,7 +217,7 @@ class Candidates:
     rest_position_m: FloatArray
     start_m: FloatArray
     weight: sparse.csr_matrix
-    turned: Callable[[FloatArray, FloatArray], tuple[FinePart, FloatArray]] | None
+    fine: FinePart | None
     respond: Callable[[NDArray[np.int64], FloatArray], MarkerContact]
 
 
@@ -311,28 +298,25 @@ class _Settling:
         c = self.candidates
         every = np.arange(len(c.marker))
         force = self._contact(every).force_n
-        fine, resistance = None, np.zeros_like(self.displacement_m)
-        if c.turned is not None:
-            fine, resistance = c.turned(self.displacement_m, force)
         active = np.flatnonzero(np.any(force != 0.0, axis=1))
         lag = c.rest_position_m + c.weight @ self.displacement_m - self.position_m
-        if fine is not None:
-            lag += fine.displacement(force)
+        if c.fine is not None:
+            lag += c.fine.displacement(force)
         contact = self._contact(active)
         own = contact.stiffness()
-        response = contact_response_matrix(own, fine, active)
+        response = contact_response_matrix(own, c.fine, active)
         weight = c.weight[active]
-        right = c.weight.T @ force + resistance - self.forces(self.displacement_m)
+        right = c.weight.T @ force - self.forces(self.displacement_m)
         right += weight.T @ (response @ lag[active].ravel()).reshape(-1, 3)
         node = np.unique(weight.indices).astype(np.int32)
         loaded = contact_on_nodes(response, weight, node)
         linear = EquilibriumLinearisation(self.forces, self.displacement_m, self.rest, node, loaded)
         step = linear.solve(right.ravel(), FORCING).reshape(-1, 3)
         move = c.weight @ step + lag
-        if fine is not None and len(active):
+        if c.fine is not None and len(active):
             change = np.zeros_like(force)
             change[active] = (response @ move[active].ravel()).reshape(-1, 3)
-            move += fine.displacement(change)
+            move += c.fine.displacement(change)
         moved = max(float(np.abs(move).max(initial=0.0)), float(np.abs(step).max()))
         scale = min(scale, LARGEST_MOVE_M / max(moved, LARGEST_MOVE_M))
         self.displacement_m = self.displacement_m + scale * step

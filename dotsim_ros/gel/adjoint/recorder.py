@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
-from dotsim_ros.gel.adjoint.equilibrium import Candidates, FinePart, fine_part, settle
+from dotsim_ros.gel.adjoint.equilibrium import Candidates, fine_part, settle
 from dotsim_ros.gel.implicit.contact import Lag
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel, Inertia, World
 from dotsim_ros.gel.implicit.newton import Point
@@ -146,7 +146,6 @@ class Recorder:
         rest = gel.compliance_at_rest
         settled = settle(point.displacement_m, rest, forces, candidates)
         displacement = settled.displacement_m
-        world.patch, world.turning_n = gel.turned(world.patch, displacement, settled.force_n)
         contact, lag = None, _present(np.zeros(0))
         if pose is not None and candidates is not None:
             active = np.flatnonzero(np.any(settled.force_n != 0.0, axis=1))
@@ -204,22 +203,11 @@ def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: Point) -> Can
     def respond(rows: NDArray[np.int64], position_m: FloatArray) -> MarkerContact:
         return MarkerContact(gel.contact, area[rows], position_m, pose, memory[rows])
 
-    refinement, turning = gel.refinement, gel.turning
-    at_rest = None if refinement is None else fine_part(refinement, marker)
-
-    def turned(displacement_m: FloatArray, force_n: FloatArray) -> tuple[FinePart, FloatArray]:
-        assert at_rest is not None
-        assert turning is not None
-        resistance = turning.resistance(
-            displacement_m, at_rest.node, at_rest.weight.T @ force_n, at_rest.between_nodes
-        )
-        return at_rest.turned(turning.exactly_at(displacement_m, at_rest.node)), resistance
-
     return Candidates(
         marker,
         gel.skin.rest_position_m[marker],
         gel.skin_at(point.displacement_m, world.patch, point.force_n)[marker],
         gel.skin_weight[marker],
-        None if refinement is None else turned,
+        None if gel.refinement is None else fine_part(gel.refinement, marker),
         respond,
     )

@@ -77,42 +77,27 @@ def gather_rest(
         write_rest(b, i, j, node, place, sign, block, between)
 
 
-@wp.func_native(
-    ROUNDS_ONCE
-    + """
+@wp.func_native("""
     const int* __restrict__ numbers = number.data + (long long)b * number.shape[1];
-    const auto* turns = turn.data + (long long)b * turn.shape[1];
-    const float* __restrict__ own = &turns[n].data[0][0];
     float* row = between.data + 9LL * ((long long)b * between.shape[1] + i) * between.shape[2];
     for (int k = begin; k < end; ++k) {
         const int j = numbers[index.data[k]];
         if (j < 0) continue;
         const float* __restrict__ from = &block.data[k].data[0][0];
-        const float* __restrict__ other = &turns[index.data[k]].data[0][0];
-        float half[9] = {}, total[9] = {};
-        for (int r = 0; r < 3; ++r)
-            for (int s = 0; s < 3; ++s)
-                for (int c = 0; c < 3; ++c) half[3 * r + s] += own[3 * r + c] * from[3 * c + s];
-        for (int r = 0; r < 3; ++r)
-            for (int s = 0; s < 3; ++s)
-                for (int c = 0; c < 3; ++c) total[3 * r + s] += half[3 * r + c] * other[3 * s + c];
-        for (int c = 0; c < 9; ++c) row[9 * j + c] = total[c];
+        for (int c = 0; c < 9; ++c) row[9 * j + c] = from[c];
     }
-"""
-)
+""")
 def write_refinement(
     b: int,
     i: int,
-    n: int,
     begin: int,
     end: int,
     number: wp.array2d(dtype=wp.int32),
     index: wp.array(dtype=wp.int32),
     block: wp.array(dtype=wp.mat33),
-    turn: wp.array2d(dtype=wp.mat33),
     between: wp.array4d(dtype=wp.float32),
 ):
-    """Write some blocks of a node's row, turned, to where the other nodes have numbers."""
+    """Write some blocks of a node's row to where the other nodes have numbers."""
     ...
 
 
@@ -123,14 +108,13 @@ def gather_refinement(
     indptr: wp.array(dtype=wp.int32),
     index: wp.array(dtype=wp.int32),
     block: wp.array(dtype=wp.mat33),
-    turn: wp.array2d(dtype=wp.mat33),
     between: wp.array4d(dtype=wp.float32),
 ):
     """Write what refinement adds to the compliance between nodes [b, i] of the finer grid, whose
-    numbers the others lack (-1), where the gel is turned [b, node]."""
+    numbers the others lack (-1)."""
     b, i = wp.tid()
     n = node[b, i]
-    write_refinement(b, i, n, indptr[n], indptr[n + 1], number, index, block, turn, between)
+    write_refinement(b, i, indptr[n], indptr[n + 1], number, index, block, between)
 
 
 @wp.func_native(

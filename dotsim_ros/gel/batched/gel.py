@@ -37,7 +37,6 @@ from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.implicit.contact import ONSET_M, contact_law
 from dotsim_ros.gel.implicit.refinement import refine
 from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
-from dotsim_ros.gel.implicit.turn import turning_stencils
 from dotsim_ros.gel.make import body_of, bond_of, material_of, skin_of
 from dotsim_ros.gel.material import small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter
@@ -56,9 +55,6 @@ expected, may touch in a substep."""
 MISSED_M = 20.0e-6
 """Unless counts are fixed, a substep in which another marker goes deeper into the indenter is
 solved again..."""
-TURNED_M = 5.0e-6
-"""...and one in which what the refinement adds turns with the gel so that a marker moves farther...
-"""
 TRIALS = 3
 """...so often at most."""
 LEVER_M = 3.0e-3
@@ -211,8 +207,7 @@ class BatchedGel:
         fine = None
         if s.solver.refined and not is_fine:
             table = refine(body, skin_m, d, lambda: kept_compliance(body, skin_m, d, law), law)
-            turning = turning_stencils(d, skin_m, table.skin_weight)
-            fine = stencils_of(table.skin_weight, device), table, turning
+            fine = stencils_of(table.skin_weight, device), table
         self._rest_m = torch.as_tensor(mesh.rest_position_m, dtype=torch.float32, device=device)
         self._all_at_rest_m = self._rest_m.expand(count, -1, 3).contiguous()
         weights = d.skin_interpolation.matrix(d.node_count)
@@ -464,33 +459,22 @@ class BatchedGel:
         move = origin_m - self._origin_m
         unexpected_m = (move - share[:, None] * self._move_m).norm(dim=1)
         near_m = NEAR_M + torch.where(self._is_touching, unexpected_m, 0.0)
-        u = self._u_m + share * self._u_change_m
-        turn, marker_force = self._skin.turn(u), self._marker_force_n
         for _ in range(TRIALS):
             markers, needed = self._markers(origin_m, rotation, share, near_m, is_moving)
             u, contact, left = self._equilibrium(
-                u,
+                self._u_m + share * self._u_change_m,
                 markers,
                 needed,
-                turn,
-                marker_force,
                 torch.where(in_contact, self._guess(markers, share), markers.gather(self._skin_m)),
                 is_loaded & is_moving,
             )
             force = torch.where(in_contact, contact.force_n, 0.0)
             u, left = torch.where(is_loaded, u, 0.0), torch.where(is_loaded, left, 0.0)
-            skin = self._skin.positions(u, markers.index, force, turn)
+            skin = self._skin.positions(u, markers.index, force)
             gap = self._skin_distance(skin, origin_m, rotation, is_moving)
             others = gap.scatter(1, markers.index, torch.inf).amin(dim=1)
             missed = touches & is_moving & (others < -MISSED_M)
-            if not self._may_stop:
-                break
-            three = markers.index[:, :, None].expand(-1, -1, 3)
-            marker_force = torch.zeros_like(marker_force).scatter(1, three, force)
-            turn = self._skin.turn(u)
-            moved = (self._skin.positions(u, markers.index, force, turn) - skin).abs()
-            turned = is_moving & (moved.amax(dim=(1, 2)) > TURNED_M)
-            if not bool((missed | turned).any()):
+            if not self._may_stop or not bool(missed.any()):
                 break
             near_m = near_m + torch.where(missed, near_m - others, 0.0)
         pose = origin_m, quaternion
@@ -563,8 +547,6 @@ class BatchedGel:
         u_m: torch.Tensor,
         markers: Markers,
         needed: torch.Tensor,
-        turn: torch.Tensor,
-        force_n: torch.Tensor,
         guess_m: torch.Tensor,
         is_solved: torch.Tensor,
     ) -> tuple[torch.Tensor, Contact, torch.Tensor]:
@@ -575,8 +557,6 @@ class BatchedGel:
             u_m: (N, 3, B) to begin with.
             markers: that may touch.
             needed: (B,) how many of them.
-            turn: (B, F, 3, 3) of the gels, for the refinement.
-            force_n: (B, V, 3) on all markers of the skin, to begin with.
             guess_m: (B, K, 3) where the markers may come to lie.
             is_solved: (B,) of which gels; with fixed counts, of all.
         """
@@ -588,17 +568,16 @@ class BatchedGel:
             # Gels with about as many markers are solved together.
             gels = is_solved.nonzero()[:, 0]
             gels = gels[needed[gels].argsort(stable=True)]
-        parts = self._parts(markers, needed, turn, gels)
-        result, u, force, guess = u_m.clone(), u_m, markers.gather(force_n), guess_m
-        u, turn, force, guess = u[:, :, gels], turn[gels], force[gels], guess[gels]
+        parts = self._parts(markers, needed, gels)
+        result, u, force, guess = u_m.clone(), u_m, markers.gather(self._marker_force_n), guess_m
+        u, force, guess = u[:, :, gels], force[gels], guess[gels]
         self._mixing.begin()
         if self._may_stop:
             self._mixing.keep(gels)
         is_done = torch.zeros_like(gels, dtype=torch.bool)
         for outer in range(effort.outer if len(gels) else 0):
             index = markers.index[gels]
-            resistance = self._skin.resistance(u, index, force, turn)
-            free = u - self._rest.apply(self._elastic(u, gels) - resistance)
+            free = u - self._rest.apply(self._elastic(u, gels))
             base = self._skin.markers_at(index, free)
             steps = effort.newton * (FIRST_STEPS if outer == 0 else 1)
             contact = self._solve_contact(parts, base, force, guess, steps)
@@ -623,13 +602,12 @@ class BatchedGel:
                     break
                 parts = _kept_parts(parts, ~is_done)
                 gels, is_done = gels[number], is_done[number]
-                u, turn, force = u[:, :, number], turn[number], force[number]
-                guess = guess[number]
+                u, force, guess = u[:, :, number], force[number], guess[number]
                 self._mixing.keep(number)
         return result, whole, left
 
     def _parts(
-        self, markers: Markers, needed: torch.Tensor, turn: torch.Tensor, gels: torch.Tensor
+        self, markers: Markers, needed: torch.Tensor, gels: torch.Tensor
     ) -> list[tuple[Markers, torch.Tensor]]:
         """Return the markers of gels that are solved together, with their compliances."""
         parts = []
@@ -640,8 +618,7 @@ class BatchedGel:
                 count = rounded_up(int(needed[some].max()), count)
             part = replace(markers.part(some, count), place=markers.place[: len(some)])
             node_limit = None if self._may_stop else MOST_NODES
-            compliance = self._skin.compliance(part.index, turn[some], node_limit)
-            parts.append((part, compliance))
+            parts.append((part, self._skin.compliance(part.index, node_limit)))
         return parts
 
     def _solve_contact(

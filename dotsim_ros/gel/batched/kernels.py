@@ -582,17 +582,13 @@ def refined_displacement(
     indptr: wp.array(dtype=wp.int32),
     index: wp.array(dtype=wp.int32),
     block: wp.array(dtype=wp.mat33),
-    turn: wp.array2d(dtype=wp.mat33),
     displacement: wp.array2d(dtype=wp.vec3),
 ):
-    """Add what refinement adds to the nodes [b, n] of the finer grid under forces on them,
-    where the gel is turned [b, n]."""
+    """Add what refinement adds to the nodes [b, n] of the finer grid under forces on them."""
     b, n = wp.tid()
     f = force[b, n]
     if wp.length_sq(f) == 0.0:
         return
-    load = wp.transpose(turn[b, n]) * f
     # It is symmetric: the transpose of a row is a column.
     for k in range(indptr[n], indptr[n + 1]):
-        moved = turn[b, index[k]] * (wp.transpose(block[k]) * load)
-        wp.atomic_add(displacement, b, index[k], moved)
+        wp.atomic_add(displacement, b, index[k], wp.transpose(block[k]) * f)

@@ -19,7 +19,7 @@ TOGETHER = {"cpu": 8, "cuda": 512}
 """So many gels solve their contact together: what a CPU's cache holds, and what fills a GPU..."""
 TOGETHER_BYTES = 20.0e6
 """...where each takes this while its compliance is made."""
-VECTORS_A_MARKER = 58
+VECTORS_A_MARKER = 50
 """What a gel keeps and computes with, in vectors (3 numbers of single precision) for each marker of
 its skin..."""
 GRID_BYTES: dict[Grid, float] = {"default": 0.0, "fine": 10.0e6}

@@ -12,12 +12,10 @@ import numpy as np
 import torch
 
 from dotsim_ros.gel.batched import compliance_kernels, kernels
-from dotsim_ros.gel.batched.contact import matrices, vectors
+from dotsim_ros.gel.batched.contact import vectors
 from dotsim_ros.gel.batched.elastic import sparse_tensor
 from dotsim_ros.gel.batched.rest_compliance import RestCompliance
 from dotsim_ros.gel.implicit.refinement import Refinement
-from dotsim_ros.gel.implicit.refinement_kernels import resist_turning, turn_with_gel
-from dotsim_ros.io.arrays import FloatArray, IndexArray
 from dotsim_ros.io.warp_runtime import wp
 
 ROUNDING = 16
@@ -64,8 +62,8 @@ class Skin:
         rest_m: (V, 3) its markers at rest.
         stencils: on the grid.
         rest: the grid's compliance.
-        fine: stencils on the finer grid, what that adds to the compliance, and `turning_stencils`;
-            None for a skin that is not refined.
+        fine: stencils on the finer grid and what that adds to the compliance; None for a skin that
+            is not refined.
     """
 
     def __init__(
@@ -73,75 +71,28 @@ class Skin:
         rest_m: torch.Tensor,
         stencils: Stencils,
         rest: RestCompliance,
-        fine: tuple[Stencils, Refinement, tuple[IndexArray, FloatArray]] | None,
+        fine: tuple[Stencils, Refinement] | None,
     ) -> None:
         self.rest_m, self._stencils, self._rest = rest_m, stencils, rest
         self._device = str(rest_m.device)
         self._fine: Stencils | None = None
         if fine is not None:
-            self._fine, table, (node, gradient) = fine
-            self._turning: list[Any] = [
-                wp.array(node, dtype=wp.int32, device=self._device),
-                wp.array(gradient, dtype=wp.vec3, device=self._device),
-            ]
+            self._fine, table = fine
             self._table: list[Any] = [
                 wp.array(table.indptr, dtype=wp.int32, device=self._device),
                 wp.array(table.index, dtype=wp.int32, device=self._device),
                 wp.array(table.block.astype(np.float32), dtype=wp.mat33, device=self._device),
             ]
 
-    def turn(self, displacement_m: torch.Tensor) -> torch.Tensor:
-        """Return how the gels are turned (B, F, 3, 3) at the nodes of the finer grid, if there is
-        one, at displacements (N, 3, B) of the grid."""
-        count = 0 if self._fine is None else self._fine.node_count
-        result = displacement_m.new_empty(displacement_m.shape[2], count, 3, 3)
-        if self._fine is not None:
-            nodal = displacement_m.permute(2, 0, 1).contiguous()
-            wp.launch(
-                turn_with_gel,
-                dim=tuple(result.shape[:2]),
-                inputs=[*self._turning, vectors(nodal)],
-                outputs=[matrices(result)],
-                device=self._device,
-            )
-        return result
-
-    def resistance(
-        self,
-        displacement_m: torch.Tensor,
-        index: torch.Tensor,
-        force_n: torch.Tensor,
-        turn: torch.Tensor,
-    ) -> torch.Tensor:
-        """Return the forces (N, 3, B) on the grid's nodes by which the gels resist to be turned,
-        for the arguments of `positions`."""
-        nodal = displacement_m.permute(2, 0, 1).contiguous()
-        result = torch.zeros_like(nodal)
-        if self._fine is not None:
-            load = _spread(self._fine, index, force_n)
-            moved = self._fine_displacement(load, turn)
-            wp.launch(
-                resist_turning,
-                dim=tuple(turn.shape[:2]),
-                inputs=[*self._turning, vectors(nodal), vectors(load), vectors(moved)],
-                outputs=[vectors(result)],
-                device=self._device,
-            )
-        return result.permute(1, 2, 0)
-
     def positions(
-        self,
-        displacement_m: torch.Tensor,
-        index: torch.Tensor,
-        force_n: torch.Tensor,
-        turn: torch.Tensor,
+        self, displacement_m: torch.Tensor, index: torch.Tensor, force_n: torch.Tensor
     ) -> torch.Tensor:
         """Return the skin (B, V, 3) at displacements (N, 3, B) of the grid under forces (B, K, 3)
-        on markers (B, K), of gels that are turned by (B, F, 3, 3)."""
+        on markers (B, K)."""
         moved = _times(self._stencils.matrix, displacement_m)
         if self._fine is not None:
-            added = self._fine_displacement(_spread(self._fine, index, force_n), turn)
-            moved = moved + _times(self._fine.matrix, added.permute(1, 2, 0).contiguous())
+            added = self._fine_displacement(_spread(self._fine, index, force_n))
+            moved = moved + _times(self._fine.matrix, added)
         return (self.rest_m[:, :, None] + moved).permute(2, 0, 1).contiguous()
 
     def markers_at(self, index: torch.Tensor, displacement_m: torch.Tensor) -> torch.Tensor:
@@ -166,14 +117,11 @@ class Skin:
         """Return the forces on the grid's nodes (N, 3, B) under forces (B, K, 3) on markers."""
         return _spread(self._stencils, index, force_n).permute(1, 2, 0).contiguous()
 
-    def compliance(
-        self, index: torch.Tensor, turn: torch.Tensor, node_limit: int | None
-    ) -> torch.Tensor:
+    def compliance(self, index: torch.Tensor, node_limit: int | None) -> torch.Tensor:
         """Return the compliance (B, 3 K, 3 K) at rest between markers (B, K), m/N.
 
         Args:
             index: of the markers.
-            turn: (B, F, 3, 3) of the gels at the nodes of the finer grid.
             node_limit: of how many nodes around the markers of a gel, those that carry most; None
                 for all, which are counted.
         """
@@ -192,7 +140,6 @@ class Skin:
                     wp.from_torch(near.node),
                     wp.from_torch(near.number),
                     *self._table,
-                    matrices(turn),
                     wp.from_torch(blocks),
                 ],
                 device=self._device,
@@ -200,17 +147,16 @@ class Skin:
             _weigh(near, blocks, result)
         return result
 
-    def _fine_displacement(self, load_n: torch.Tensor, turn: torch.Tensor) -> torch.Tensor:
-        """Return what the finer grid adds (B, F, 3) under forces (B, F, 3) on its nodes, of gels
-        that are turned by (B, F, 3, 3)."""
+    def _fine_displacement(self, load_n: torch.Tensor) -> torch.Tensor:
+        """Return what the finer grid adds (F, 3, B) under forces (B, F, 3) on its nodes."""
         moved = torch.zeros_like(load_n)
         wp.launch(
             kernels.refined_displacement,
             dim=tuple(load_n.shape[:2]),
-            inputs=[vectors(load_n), *self._table, matrices(turn), vectors(moved)],
+            inputs=[vectors(load_n), *self._table, vectors(moved)],
             device=self._device,
         )
-        return moved
+        return moved.permute(1, 2, 0).contiguous()
 
 
 def _spread(stencils: Stencils, index: torch.Tensor, force_n: torch.Tensor) -> torch.Tensor:

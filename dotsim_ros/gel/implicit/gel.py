@@ -55,7 +55,6 @@ from dotsim_ros.gel.implicit.tangent import (
     LocalTangent,
     inverse_at_rest,
 )
-from dotsim_ros.gel.implicit.turn import Turning
 from dotsim_ros.gel.implicit.wrench_stiffness import wrench_stiffness
 from dotsim_ros.gel.material import Material, PronySeries, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter, warn_of_misfit, way_m
@@ -116,11 +115,6 @@ AT_LIMIT = 0.98
 """A marker slips where its friction is this share of what its pressure allows, or more."""
 SNAP = 1.5
 """Gel that moves by more than this multiple of the indenter's motion has snapped through."""
-TURN_SHARE = 1.0
-"""What the refinement adds turns with the gel: a search goes on where the gel has turned so that
-this moves a marker by more than this share of the tolerance..."""
-TURNS = 3
-"""...so often at most."""
 CORE_CLEARANCE_M = 1.5e-3
 """The indenter must stay this far from whatever the gel is bonded to."""
 CLEARANCE_REACH_M = 4.0e-3
@@ -194,8 +188,8 @@ class LinearContact:
 
 @dataclass
 class World:
-    """One environment's memory between steps; of the present one which marker (V,) bears what
-    presses on each, and the forces (N, 3) of a refinement that turns with the gel."""
+    """One environment's memory between steps, and which marker (V,) bears what presses on each in
+    the present one."""
 
     displacement_m: FloatArray
     velocity_m_s: FloatArray
@@ -210,7 +204,6 @@ class World:
     contraction: float = CONTRACTION
     response: ContactResponse | None = None
     bearer: IndexArray | None = None
-    turning_n: FloatArray | None = None
     linear: LinearContact | None = None
     inertia_step_s: float = 0.0
 
@@ -307,7 +300,6 @@ class ImplicitGel:
         self._mass = d.mass_over_density * material.density_kg_m3
         local: LocalTangent | None = None
         self.refinement: Refinement | None = None
-        self.turning: Turning | None = None
         if not exact or solver.refined:
             # Trial gels of a calibration, many and each used for little, are not refined here.
             compliance = (
@@ -318,7 +310,7 @@ class ImplicitGel:
             if not exact:
                 local = LocalTangent(self._single, compliance)
             if solver.refined:
-                refinement = refine(
+                self.refinement = refine(
                     shape,
                     skin.rest_position_m,
                     d,
@@ -327,7 +319,6 @@ class ImplicitGel:
                     material.law,
                     progress=progress,
                 )
-                self.refine_with(refinement, skin)
         # By the duration of the substep that inertia is for; 0 without inertia.
         self._tangents = {0.0: Tangents(ExactTangent(self._single, self._mass * 0.0), local)}
         self._shape = shape
@@ -557,12 +548,6 @@ class ImplicitGel:
         local = (points.data[near] - pose.position_m) @ pose.rotation()
         return float(self.contact.indenter.signed_distance(local).min())
 
-    def refine_with(self, refinement: Refinement, skin: SkinMesh) -> None:
-        """Give the gel a refinement, made with a skin that the gel's own follows smoothly from."""
-        self.refinement = refinement
-        position_m = skin.rest_position_m
-        self.turning = Turning(self.discretization, position_m, refinement.skin_weight)
-
     @exclusive()
     @single_threaded()
     def wrench_stiffness(self, environment: int) -> FloatArray:
@@ -602,19 +587,9 @@ class ImplicitGel:
         else:
             self._prepare_contact(world, pose, trace)
         start_m = world.displacement_m
-        start = self._start(world, pose)
-        world.patch, world.turning_n = self.turned(world.patch, start[0], start[2].force_n)
         problem = self._problem(world, pose, inertia, environment)
         search = EquilibriumSearch(problem, self.solver, trace, contraction=world.contraction)
-        point, iterations, converged = search.run(*start)
-        for _ in range(TURNS):
-            if not self._turns_on(world.patch, point):
-                break
-            world.patch, world.turning_n = self.turned(
-                world.patch, point.displacement_m, point.force_n
-            )
-            point, more, converged = search.go_on(point, world.patch)
-            iterations += more
+        point, iterations, converged = search.run(*self._start(world, pose))
         # A search that finds nothing to descend to needs no root; the last one is still good.
         if search.near is not None and search.root is not None:
             world.linear = LinearContact(search.near.marker, search.root)
@@ -701,35 +676,6 @@ class ImplicitGel:
         self.contact.set_area(self.points.area_m2(world.bearer))
         trace.add("contact", clock)
 
-    def turned(
-        self, patch: Patch | None, displacement_m: FloatArray, force_n: FloatArray
-    ) -> tuple[Patch | None, FloatArray | None]:
-        """Return a patch with the refinement turned as the gel is at displacements (N, 3), and the
-        forces (N, 3) by which it resists that under forces (C, 3) on the patch."""
-        if patch is None or self.refinement is None or self.turning is None:
-            return patch, None
-        load = patch.fine_weight.T @ force_n
-        is_loaded = np.any(load, axis=1)
-        node, refinement = patch.fine_node[is_loaded], self.refinement
-        resistance = self.turning.resistance(
-            displacement_m,
-            node,
-            load[is_loaded],
-            lambda force_n: refinement.displacement(node, force_n)[node],
-        )
-        return patch.turned(refinement, self.turning.at(displacement_m)), resistance
-
-    def _turns_on(self, patch: Patch | None, point: Point) -> bool:
-        """Return whether the gel is turned otherwise than a patch of its, so that what the
-        refinement adds is off."""
-        if patch is None or patch.turn is None or self.turning is None:
-            return False
-        loaded = patch.fine_node[np.any(patch.fine_weight.T @ point.force_n, axis=1)]
-        change = self.turning.at(point.displacement_m)[loaded] - patch.turn[loaded]
-        angle = np.linalg.norm(change, axis=(1, 2)).max(initial=0.0)
-        limit_m = TURN_SHARE * self.solver.tolerance_m
-        return bool(angle * np.abs(point.added_m).max(initial=0.0) > limit_m)
-
     def _answer(
         self, world: World, pose: Pose, marker: IndexArray, position_m: FloatArray
     ) -> ContactResponse:
@@ -771,12 +717,7 @@ class ImplicitGel:
         local = tangents.local
 
         def elastic(displacement_m: FloatArray) -> tuple[float, FloatArray]:
-            energy, gradient = self.elastic(displacement_m, inertia, environment)
-            if world.turning_n is None:
-                return energy, gradient
-            return energy - float(np.vdot(world.turning_n, displacement_m)), (
-                gradient - world.turning_n
-            )
+            return self.elastic(displacement_m, inertia, environment)
 
         def respond(marker: IndexArray, position_m: FloatArray, lag: Lag) -> ContactResponse:
             assert pose is not None
@@ -928,9 +869,7 @@ class ImplicitGel:
         if self.refinement is not None and patch is not None:
             fine_force = patch.fine_weight.T @ force_n
             loaded = np.any(fine_force, axis=1)
-            added = self.refinement.displacement(
-                patch.fine_node[loaded], fine_force[loaded], patch.turn
-            )
+            added = self.refinement.displacement(patch.fine_node[loaded], fine_force[loaded])
             skin += self.refinement.skin_weight @ added
         return skin
 

@@ -253,13 +253,6 @@ class EquilibriumSearch:
             point = trial
         return self._ended(point), iteration, False
 
-    def go_on(self, point: Point, patch: Patch | None) -> tuple[Point, int, bool]:
-        """Return what `run` does, from a point in which the patch has changed in its compliance."""
-        self.problem = replace(self.problem, patch=patch)
-        self.near = self.root = None
-        lag = Lag(point.response.pressure_pa, point.response.normal)
-        return self.run(point.displacement_m, lag, Guess(point.position_m, point.force_n))
-
     def _in_tolerances(self, point: Point, step: _NewtonStep) -> float:
         """Return how large a step is, of the skin or of the force, as a multiple of its
         tolerance."""

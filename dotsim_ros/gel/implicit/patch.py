@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,6 @@ class Patch:
         fine_weight: (C, F) weights of those.
         fine_node_weight: (C, F) the same, dense.
         added_compliance: (3 F, 3 F) of the refinement by component, m/N; empty without one.
-        turn: of the gel at all nodes of the refinement, (3, 3) each, as that compliance has it;
-            None for a gel at rest.
     """
 
     marker: IndexArray
@@ -43,12 +41,6 @@ class Patch:
     fine_weight: sparse.csr_matrix
     fine_node_weight: Float32Array
     added_compliance: Float32Array
-    turn: Float32Array | None = None
-
-    def turned(self, refinement: Refinement, turn: Float32Array) -> Patch:
-        """Return the same in a gel that is turned so at the refinement's nodes."""
-        added = refinement.by_component(self.fine_node, turn)
-        return replace(self, added_compliance=added, turn=turn)
 
     def added_displacement(self, force_n: FloatArray) -> FloatArray:
         """Return what the refinement adds to the markers' displacement under forces (C, 3)."""

@@ -7,8 +7,7 @@ The coarse grid cannot follow a contact narrower than its spacing. Its error is 
 order, linear in the contact force: dG = G_fine - R G_coarse R^T, where R writes a coarse spline on
 the fine grid (knot insertion of quadratic B-splines, nodes at cell centres: weights 3/4 and 1/4).
 Contact then acts on positions x = X + S u + S_fine dG S_fine^T f. dG is computed once, kept for
-pairs of nodes near each other, and cached on disk; it scales as 1/E. It turns with the gel:
-`turn`.
+pairs of nodes near each other, and cached on disk; it scales as 1/E.
 """
 
 from collections.abc import Callable
@@ -26,7 +25,7 @@ from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.refinement_kernels import add_columns, gather_between
 from dotsim_ros.gel.implicit.tangent import degrees_of_freedom
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
-from dotsim_ros.io.arrays import AnyFloatArray, Float32Array, FloatArray, IndexArray
+from dotsim_ros.io.arrays import Float32Array, FloatArray, IndexArray
 from dotsim_ros.io.cache import GEL, content_key, keep_table, load_arrays, tell_broken
 from dotsim_ros.io.documents import ArrayForm
 from dotsim_ros.io.files import cache_directory
@@ -64,16 +63,12 @@ class Refinement:
         parts = self.by_component(nodes).reshape(3, count, 3, count)
         return np.ascontiguousarray(parts.transpose(1, 0, 3, 2)).reshape(3 * count, 3 * count)
 
-    def by_component(self, nodes: IndexArray, turn: AnyFloatArray | None = None) -> Float32Array:
-        """Return the (3 n, 3 n) block of dG between the given nodes with all x first, turned by
-        (F, 3, 3) as the gel is; None for a gel at rest."""
+    def by_component(self, nodes: IndexArray) -> Float32Array:
+        """Return the (3 n, 3 n) block of dG between the given nodes with all x first."""
         number = np.full(self.node_count, -1, dtype=np.int32)
         number[nodes] = np.arange(len(nodes), dtype=np.int32)
         result = np.zeros((3 * len(nodes), 3 * len(nodes)), dtype=self.block.dtype)
         scalar = wp.float64 if self.block.dtype == np.float64 else wp.float32
-        matrix = wp.types.matrix((3, 3), scalar)
-        if turn is None:
-            turn = np.tile(np.eye(3), (self.node_count, 1, 1))
         wp.launch(
             gather_between,
             dim=len(nodes),
@@ -82,23 +77,20 @@ class Refinement:
                 wp.array(number, dtype=wp.int32, device="cpu", copy=False),
                 wp.array(self.indptr, dtype=wp.int32, device="cpu", copy=False),
                 wp.array(self.index, dtype=wp.int32, device="cpu", copy=False),
-                wp.array(self.block, dtype=matrix, device="cpu", copy=False),
-                wp.array(turn.astype(self.block.dtype, copy=False), dtype=matrix, device="cpu"),
+                wp.array(
+                    self.block,
+                    dtype=wp.types.matrix((3, 3), scalar),
+                    device="cpu",
+                    copy=False,
+                ),
             ],
             outputs=[wp.array(result, dtype=scalar, device="cpu", copy=False)],
             device="cpu",
         )
         return result
 
-    def displacement(
-        self, nodes: IndexArray, force_n: FloatArray, turn: AnyFloatArray | None = None
-    ) -> FloatArray:
-        """Return the displacement (F, 3) of all fine nodes under forces (n, 3) on some, in a gel
-        that is turned by (F, 3, 3); None for one at rest."""
-        if turn is not None:
-            load = np.einsum("nji,nj->ni", turn[nodes], force_n)
-            moved: FloatArray = np.einsum("fij,fj->fi", turn, self.displacement(nodes, load))
-            return moved
+    def displacement(self, nodes: IndexArray, force_n: FloatArray) -> FloatArray:
+        """Return the displacement (F, 3) of all fine nodes under forces (n, 3) on some."""
         single = self.block.astype(np.float32, copy=False)
         result = wp.zeros(self.node_count, dtype=wp.vec3, device="cpu")
         wp.launch(
