@@ -76,7 +76,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         FileNotFoundError: no such file.
         ValueError: it is no image.
     """
-    # As in `write_image`.
+    # As in `encoded_image`.
     import cv2
 
     if not Path(path).is_file():
@@ -87,11 +87,12 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
-    """Write an image (H, W, 3), red, green, blue, in the format that the suffix names.
+def encoded_image(path: str | Path, image: NDArray[np.uint8]) -> bytes:
+    """Return a file's content for an image (H, W, 3), red, green, blue, in the format that the
+    suffix names.
 
     Raises:
-        OSError: it could not be written.
+        OSError: it could not be encoded.
     """
     # Launch files look for files by this module, in an interpreter that may lack OpenCV.
     import cv2
@@ -99,9 +100,19 @@ def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
     is_done, encoded = cv2.imencode(Path(path).suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
     if not is_done:
         raise OSError(f"{path} could not be written")
+    return bytes(encoded)
+
+
+def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
+    """Write an image (H, W, 3), red, green, blue, in the format that the suffix names.
+
+    Raises:
+        OSError: it could not be written.
+    """
+    content = encoded_image(path, image)
     with whole_file(path) as part:
         # OpenCV would write it itself, but not say why it could not.
-        part.write_bytes(encoded.tobytes())
+        part.write_bytes(content)
 
 
 def beside(path: str | Path, ending: str, *, replaces: tuple[str, ...]) -> Path:

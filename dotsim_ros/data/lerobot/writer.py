@@ -25,7 +25,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import cv2
 import numpy as np
 
 from dotsim_ros.data.lerobot.statistics import (
@@ -35,10 +34,9 @@ from dotsim_ros.data.lerobot.statistics import (
     statistics_of,
 )
 from dotsim_ros.data.lerobot.video import VideoFile
-from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.io.documents import read_json, value_text
 from dotsim_ros.io.extras import extra_needed
-from dotsim_ros.io.files import no_room_named, whole_file, write_json
+from dotsim_ros.io.files import encoded_image, no_room_named, whole_file, write_json
 
 VERSION = "v3.0"
 INFO, STATISTICS, TASKS = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
@@ -345,7 +343,11 @@ class LeRobotWriter:
         """Append images to a video of the group, or as PNG to `files`; return their statistics."""
         height, width, _ = self.features[key]["shape"]
         is_video = self.features[key]["dtype"] == "video"
-        add = self._encoder(key).add if is_video else lambda image: files.append(_png(image))
+        add = (
+            self._encoder(key).add
+            if is_video
+            else lambda image: files.append(encoded_image("frame.png", image))
+        )
         step = max(1, min(height, width) // SAMPLED_SIDE_PX)
         wanted = set(np.linspace(0, count - 1, min(count, SAMPLED_IMAGES)).astype(int).tolist())
         sampled, seen = [], 0
@@ -449,10 +451,6 @@ class LeRobotWriter:
                     column = pa.ListArray.from_arrays(pa.array(ends), column)
             columns[key] = column
         return pa.table(columns)
-
-
-def _png(image: ImageArray) -> bytes:
-    return cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()
 
 
 def _nested(row: Mapping[str, Any]) -> dict[str, Statistics]:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import cv2
 import numpy as np
 
 from dotsim_ros.data.data_set_writer import DataSetWriter, trajectory_of_frames
@@ -22,7 +21,7 @@ from dotsim_ros.data.lerobot.writer import LeRobotWriter
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.io.arrays import FloatArray, ImageArray
-from dotsim_ros.io.files import no_room_named, whole_file
+from dotsim_ros.io.files import encoded_image, no_room_named, whole_file
 from dotsim_ros.learning.touches.making import Side, Touch
 from dotsim_ros.learning.touches.plan import TouchPlan
 
@@ -151,9 +150,8 @@ class WebDatasetFormat:
         numbers: dict[str, np.ndarray[Any, Any]] = {}
         for key, values in arrays_of(touch).items():
             if key.startswith("observation.images."):
-                bgr = cv2.cvtColor(values[frame], cv2.COLOR_RGB2BGR)
-                name = key.removeprefix("observation.images.")
-                files[f"{name}.png"] = cv2.imencode(".png", bgr)[1].tobytes()
+                name = f"{key.removeprefix('observation.images.')}.png"
+                files[name] = encoded_image(name, values[frame])
             else:
                 numbers[key] = values[frame]
         stream = io.BytesIO()
